@@ -13,7 +13,7 @@ from reference.traverse import Segment
 LENGTH_TOLERANCE = 1e-9  # [m], of every length and of their sum (relative above 1 m)
 PLACE_TOLERANCE = 1e-9  # [m], by which a visited voxel may miss the segment
 VOXEL_SIZES = (0.05, 0.1, 0.125, 0.3)
-RAYS_PER_CASE = 60
+RAYS_PER_CASE = 30
 
 
 def dyadic(rng, low, high, bits, shape=3):

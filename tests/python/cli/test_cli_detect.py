@@ -170,7 +170,9 @@ def test_a_sensor_that_moves_and_is_said_to_stand_is_named(recordings, tmp_path)
         path, folder = tmp_path / name, tmp_path / f"run_{name}"
         with tarfile.open(sequences / packed) as opened:
             opened.extractall(tmp_path if name == "lidar" else path, filter="data")
-        result = result_of(path, "-o", folder, "--pose", "static", "--end", 2.0, "--no-picture")
+        result = result_of(
+            path, "-o", folder, "--pose", "static", "--end", 2.0, "--no-picture", "--no-mcap"
+        )
         named = [one for one in result["notes"] if "the sensor has one place: if the" in one]
         assert len(named) == expected, result["class_shares"]
 

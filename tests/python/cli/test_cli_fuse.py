@@ -446,21 +446,22 @@ def noisy(path, lidar_std, seed, count=400):
     return path
 
 
-def test_config_fit_finds_the_noise_and_fuse_reads_its_file(tmp_path):
+@pytest.mark.ci_cases("0.05")
+@pytest.mark.parametrize("std", [0.05, 0.6])
+def test_config_fit_finds_the_noise_and_fuse_reads_its_file(tmp_path, std):
     """The noise that made the recordings comes out, and the filter with it is consistent."""
-    for std in (0.05, 0.6):
-        places = [noisy(tmp_path / f"{seed}.csv", std, SEED + seed) for seed in range(2)]
-        done = fit(*places, "-o", tmp_path / "fit.toml", "--overwrite", "--method", "ukf")
-        assert done.exit_code == 0, done.output or done.exception
-        assert "lidar_std" in done.output
-        fitted = FusionConfig.read(tmp_path / "fit.toml")
-        assert fitted.method == "ukf"
-        assert fitted.lidar_std == pytest.approx((std, std), rel=0.1)
-        if std == 0.05:
-            assert fitted == lc.runs.fit_config(places, method="ukf")
-        out = ["-o", tmp_path / "run", "--overwrite", "--no-picture"]
-        summary = result_of(places[0], *out, "--config", tmp_path / "fit.toml")
-        assert summary["nis"]["lidar"]["mean"] == pytest.approx(2, abs=0.35)
+    places = [noisy(tmp_path / f"{seed}.csv", std, SEED + seed) for seed in range(2)]
+    done = fit(*places, "-o", tmp_path / "fit.toml", "--overwrite", "--method", "ukf")
+    assert done.exit_code == 0, done.output or done.exception
+    assert "lidar_std" in done.output
+    fitted = FusionConfig.read(tmp_path / "fit.toml")
+    assert fitted.method == "ukf"
+    assert fitted.lidar_std == pytest.approx((std, std), rel=0.1)
+    if std == 0.05:
+        assert fitted == lc.runs.fit_config(places, method="ukf")
+    out = ["-o", tmp_path / "run", "--overwrite", "--no-picture"]
+    summary = result_of(places[0], *out, "--config", tmp_path / "fit.toml")
+    assert summary["nis"]["lidar"]["mean"] == pytest.approx(2, abs=0.35)
 
 
 def test_fuse_with_fit_noise_is_fuse_with_the_file_of_config_fit(tmp_path):

@@ -225,6 +225,7 @@ def test_the_limit_is_not_passed_by_noise_three_times_too_large():
 # Wrong ones
 
 
+@pytest.mark.ci_cases("overflight 2-*", "*sample*-late*", "*sample*-mirrored", "*obj_pose*-several")
 @pytest.mark.parametrize("name", WRONG)
 def test_wrong_recordings_are_refused_with_the_cause_that_the_data_shows(right, name):
     change, cause = WRONG[name]

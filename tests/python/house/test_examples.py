@@ -23,7 +23,7 @@ TESTED = {
     "score_seeds.py": "test_demo_scene.py",
 }
 LOWEST_RECALL = 0.95
-SCANS = 60
+SCANS = 40
 OS1 = "OS-1-128_v2.3.0_1024x10_lb_n3.pcap"
 
 

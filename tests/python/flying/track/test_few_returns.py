@@ -62,6 +62,7 @@ AT_REST = sim.Hover(position=(0.0, 0.0, 2.0))
 DRIVES = sim.Shuttle(start=(-8.0, 0.0, 2.0), end=(8.0, 0.0, 2.0), speed=4.0, acceleration=2.0)
 
 
+@pytest.mark.ci_cases("at rest-25.0-0.6", "driving-60.0-1.4")
 @pytest.mark.parametrize(("distance", "span"), [(25.0, 0.6), (60.0, 1.4)])
 @pytest.mark.parametrize("sensor", [AT_REST, DRIVES], ids=["at rest", "driving"])
 def test_a_target_of_one_or_two_returns_has_a_track(
@@ -81,22 +82,25 @@ def test_a_target_of_less_than_a_return_per_scan_has_a_track_within_the_range_of
     assert np.mean(shown[30:]) >= 0.9
 
 
-def test_without_it_such_a_target_has_none() -> None:
-    config = FlyingConfig(few_returns_distance=None)
+@pytest.mark.ci_cases("20.0")
+@pytest.mark.parametrize("distance", [None, 20.0])
+def test_without_it_such_a_target_has_none(distance: float | None) -> None:
+    config = FlyingConfig(few_returns_distance=distance)
     assert _recall(_scene(_far(25.0, 0.6), AT_REST), 1.0, config) == (0.0, 0)
-    nearer = FlyingConfig(few_returns_distance=20.0)
-    assert _recall(_scene(_far(25.0, 0.6), AT_REST), 1.0, nearer) == (0.0, 0)
 
 
-def test_what_hangs_far_away_does_not_fly() -> None:
+@pytest.mark.ci_cases("driving")
+@pytest.mark.parametrize("sensor", [AT_REST, DRIVES], ids=["at rest", "driving"])
+def test_what_hangs_far_away_does_not_fly(sensor: Scripted) -> None:
     ball = sim.Body(shape=sim.Sphere(radius=0.4), position=(24.0, 0.0, 8.0))
-    for sensor in (AT_REST, DRIVES):
-        scene = _scene(None, sensor)
-        scene = scene.model_copy(update={"bodies": (*scene.bodies, ball)})
-        assert not any(len(frame.tracks.flying) for _, frame in _frames(scene))
+    scene = _scene(None, sensor)
+    scene = scene.model_copy(update={"bodies": (*scene.bodies, ball)})
+    assert not any(len(frame.tracks.flying) for _, frame in _frames(scene))
 
 
-def test_poles_and_cables_passed_by_rows_do_not_fly() -> None:
+@pytest.mark.ci_cases("vlp-16")
+@pytest.mark.parametrize("lidar", ["vlp-16", "hdl-32e"])
+def test_poles_and_cables_passed_by_rows_do_not_fly(lidar: str) -> None:
     poles = [
         sim.Body(shape=sim.Box(size=(0.15, 0.15, 14.0)), position=(x, y, 7.0))
         for x, y in ((58.0, 3.0), (50.0, -4.0), (66.0, 0.5))
@@ -108,10 +112,9 @@ def test_poles_and_cables_passed_by_rows_do_not_fly() -> None:
         rotation=(float(np.sin(tilt)), 0.0, 0.0, float(np.cos(tilt))),
     )
     drives = sim.Shuttle(start=(0.0, 0.0, 2.0), end=(40.0, 0.0, 2.0), speed=9.0, acceleration=4.0)
-    for lidar in ("vlp-16", "hdl-32e"):
-        scene = _scene(None, drives, lidar)
-        scene = scene.model_copy(update={"bodies": (*scene.bodies, *poles, cable)})
-        assert not any(len(frame.tracks.flying) for _, frame in _frames(scene))
+    scene = _scene(None, drives, lidar)
+    scene = scene.model_copy(update={"bodies": (*scene.bodies, *poles, cable)})
+    assert not any(len(frame.tracks.flying) for _, frame in _frames(scene))
 
 
 def test_a_restored_detector_goes_on_with_the_same_bits() -> None:

@@ -68,7 +68,7 @@ def test_large_files_are_drawn_less_often_than_small_ones():
 
 
 def test_broken_files_of_every_format_end_in_typed_errors():
-    status, told = hostile("-m", "hostile", "--count", "14", "--seed", "7", "--generated-only")
+    status, told = hostile("-m", "hostile", "--count", "8", "--seed", "7", "--generated-only")
     assert status == 0, told
     assert "0 untyped, 0 abort, 0 hang, 0 memory" in told
 
