@@ -1495,24 +1495,62 @@ def test_reruns_window_without_a_display_is_refused(monkeypatch):
         output.RerunWindowOutput()
 
 
-def test_nothing_is_sent_to_a_window_of_rerun_that_was_closed(monkeypatch):
+def rerun_window(monkeypatch, *, log=lambda moment: None, close=lambda: None):
+    """Make the output of rerun's window with a viewer whose log has these functions."""
     from lidar_core.live.outputs import output
 
     window = SimpleNamespace(poll=lambda: None)
-    sent = []
     stream = SimpleNamespace(connect_grpc=lambda address: None)
-    log = SimpleNamespace(
-        stream=stream, begin=lambda: None, log=sent.append, close=lambda: sent.append("close")
-    )
+    made = SimpleNamespace(stream=stream, begin=lambda: None, log=log, close=close)
     monkeypatch.setattr(output, "has_display", lambda: True)
     monkeypatch.setattr(output, "rerun_process", lambda arguments: nullcontext(window))
-    monkeypatch.setattr(output, "_new_log", lambda: log)
-    shown = output.RerunWindowOutput()
+    monkeypatch.setattr(output, "_new_log", lambda: made)
+    return output.RerunWindowOutput(), window
+
+
+def test_nothing_is_sent_to_a_window_of_rerun_that_was_closed(monkeypatch):
+    sent = []
+    shown, window = rerun_window(monkeypatch, log=sent.append, close=lambda: sent.append("close"))
     shown.publish(SimpleNamespace(moment=lambda: "first"))
+    until = time.monotonic() + PATIENCE_S
+    while not sent and time.monotonic() < until:
+        time.sleep(0.01)
     window.poll = lambda: 0
     shown.publish(SimpleNamespace(moment=lambda: "second"))
     shown.close()
     assert sent == ["first"]
+
+
+def test_scans_do_not_wait_for_a_window_that_takes_nothing(monkeypatch):
+    from lidar_core.live.outputs.output import WINDOW_BACKLOG
+
+    sent, takes = [], Event()
+
+    def log(moment):
+        assert takes.wait(PATIENCE_S)
+        sent.append(moment)
+
+    shown, _ = rerun_window(monkeypatch, log=log)
+    for number in range(100):
+        shown.publish(SimpleNamespace(moment=lambda number=number: number))
+    assert not sent
+    takes.set()
+    shown.close()
+    # The newest, and perhaps the first, with which the window has begun; the end took one place.
+    assert sent[-WINDOW_BACKLOG + 1 :] == list(range(101 - WINDOW_BACKLOG, 100))
+    assert len(sent) <= WINDOW_BACKLOG
+
+
+def test_what_fails_in_the_window_is_raised_with_the_next_scan(monkeypatch):
+    def log(moment):
+        raise ValueError("no such colour")
+
+    shown, _ = rerun_window(monkeypatch, log=log)
+    shown.publish(SimpleNamespace(moment=lambda: "first"))
+    shown._sending.join(PATIENCE_S)
+    with pytest.raises(ValueError, match="no such colour"):
+        shown.publish(SimpleNamespace(moment=lambda: "second"))
+    shown.close()
 
 
 MUTE_VIEWER = """#!{python}
@@ -1555,15 +1593,7 @@ def test_a_viewer_that_does_not_answer_is_killed(monkeypatch, tmp_path):
 
 
 def test_a_window_of_rerun_that_is_closed_at_the_end_is_no_error(monkeypatch):
-    from lidar_core.live.outputs import output
-
     def flush():
         raise RuntimeError("gRPC connection severed")
 
-    stream = SimpleNamespace(connect_grpc=lambda address: None)
-    log = SimpleNamespace(stream=stream, begin=lambda: None, close=flush)
-    window = SimpleNamespace(poll=lambda: None)
-    monkeypatch.setattr(output, "has_display", lambda: True)
-    monkeypatch.setattr(output, "rerun_process", lambda arguments: nullcontext(window))
-    monkeypatch.setattr(output, "_new_log", lambda: log)
-    output.RerunWindowOutput().close()
+    rerun_window(monkeypatch, close=flush)[0].close()

@@ -5,7 +5,9 @@ from collections.abc import Callable, Collection
 from contextlib import ExitStack, suppress
 from datetime import UTC, datetime
 from pathlib import Path
+from queue import Empty, Full, Queue
 from threading import Thread
+from typing import TYPE_CHECKING
 
 from lidar_core.errors import ConfigError
 from lidar_core.extras import require
@@ -21,7 +23,11 @@ from lidar_core.viz.rerun_process import PATIENCE_S, free_port, has_display, rer
 
 BACKLOG = 64  # messages to a slow viewer; older ones go
 PAGE_MEMORY_BYTES = 512 * 2**20  # of a stream without end, for pages that are opened later
+WINDOW_BACKLOG = 16  # scans that wait for rerun's window
 VIEWER_MEMORY = "2GB"  # what rerun's viewer keeps of a stream without end
+
+if TYPE_CHECKING:
+    from lidar_core.viz.playback import Moment
 
 
 class Output(ABC):
@@ -193,27 +199,51 @@ class RerunWindowOutput(Output):
         self._window = self._stack.enter_context(rerun_process(arguments))
         self._log.stream.connect_grpc(f"rerun+http://{LOCAL}:{port}/proxy")
         self._log.begin()
+        # Sending waits while the viewer takes nothing, and the scans must not wait for a viewer.
+        self._waiting: Queue[Moment | None] = Queue(WINDOW_BACKLOG)
+        self._error: Exception | None = None
+        self._sending = Thread(target=self._send, daemon=True)
+        self._sending.start()
 
     def publish(self, update: Update) -> None:
-        """Show the scan and the objects, as long as the window is open."""
-        if self._window.poll() is None:
-            self._log.log(update.moment())
+        """Show the scan and the objects, as long as the window is open.
+
+        A viewer that is more than `WINDOW_BACKLOG` scans behind misses the oldest of them.
+        """
+        if self._window.poll() is not None:
+            return
+        if self._error is not None:
+            raise self._error
+        self._put(update.moment())
 
     def close(self) -> None:
         """Close the viewer; if its window was closed before, nothing is sent any more.
 
         Pending data that the viewer does not take within `PATIENCE_S` are lost.
         """
-        if self._window.poll() is None:
-            sending = Thread(target=self._send_rest, daemon=True)
-            sending.start()
-            sending.join(PATIENCE_S)
+        self._put(None)
+        self._sending.join(PATIENCE_S)
         self._stack.close()
 
-    def _send_rest(self) -> None:
-        """Send the pending data; without limit in time while a viewer that is open takes none."""
-        with suppress(RuntimeError):  # rerun's error if the window is closed meanwhile
-            self._log.close()
+    def _put(self, moment: "Moment | None") -> None:
+        while True:
+            try:
+                self._waiting.put_nowait(moment)
+            except Full:
+                with suppress(Empty):
+                    self._waiting.get_nowait()
+            else:
+                return
+
+    def _send(self) -> None:
+        try:
+            while (moment := self._waiting.get()) is not None:
+                if self._window.poll() is None:
+                    self._log.log(moment)
+            if self._window.poll() is None:
+                self._log.close()
+        except Exception as error:
+            self._error = error  # raised with the next scan, unless the window is closed
 
 
 class RerunPageOutput(Output):
