@@ -98,10 +98,12 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
-    if name in _LAZY:
-        return import_module(f"lidar_core.{name}")
-    return first_use("lidar_core", _HOMES)(name)
+if not TYPE_CHECKING:  # so that type checkers find misspelt names
+
+    def __getattr__(name: str) -> Any:
+        if name in _LAZY:
+            return import_module(f"lidar_core.{name}")
+        return first_use("lidar_core", _HOMES)(name)
 
 
 def __dir__() -> list[str]:

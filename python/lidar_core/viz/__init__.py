@@ -2,6 +2,8 @@
 
 from typing import TYPE_CHECKING
 
+# Its modules import each other: two threads that begin with two of them wait for each other.
+import lidar_core.io  # noqa: F401
 from lidar_core.util.lazy import first_use
 
 if TYPE_CHECKING:
@@ -58,7 +60,8 @@ __all__ = [
     "write_report",
 ]
 
-__getattr__ = first_use(__name__, _HOMES)
+if not TYPE_CHECKING:  # so that type checkers find misspelt names
+    __getattr__ = first_use(__name__, _HOMES)
 
 
 def __dir__() -> list[str]:

@@ -6,6 +6,7 @@ import socket
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 
@@ -73,13 +74,18 @@ def has_display() -> bool:
 def _end(process: "subprocess.Popen[bytes]") -> None:
     """End the viewer, which is a child of the process that rerun's package starts.
 
-    The process has `PATIENCE_S` to end. Then it is killed, and also a viewer that outlives it.
+    Both have `PATIENCE_S` to end. Then they are killed.
     """
-    for is_killed in (False, True):
-        with suppress(ProcessLookupError, PermissionError):  # all of them have ended
-            if os.name == "posix":
-                os.killpg(process.pid, signal.SIGKILL if is_killed else signal.SIGTERM)
-            else:
-                process.terminate()
-        with suppress(subprocess.TimeoutExpired):
-            process.wait(PATIENCE_S)
+    if os.name != "posix":
+        process.terminate()
+        process.wait()
+        return
+    with suppress(ProcessLookupError, PermissionError):  # both have ended
+        os.killpg(process.pid, signal.SIGTERM)
+        until = time.monotonic() + PATIENCE_S
+        while time.monotonic() < until:
+            process.poll()  # a process that has ended stays in the group until it is asked
+            os.killpg(process.pid, 0)
+            time.sleep(0.02)
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()

@@ -4,6 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection
 from contextlib import ExitStack, suppress
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from queue import Empty, Full, Queue
 from threading import Thread
@@ -212,9 +213,10 @@ class RerunWindowOutput(Output):
         """
         if self._window.poll() is not None:
             return
-        if self._error is not None:
-            raise self._error
         self._put(update.moment())
+        error, self._error = self._error, None
+        if error is not None:
+            raise error
 
     def close(self) -> None:
         """Close the viewer; if its window was closed before, nothing is sent any more.
@@ -236,14 +238,18 @@ class RerunWindowOutput(Output):
                 return
 
     def _send(self) -> None:
-        try:
-            while (moment := self._waiting.get()) is not None:
-                if self._window.poll() is None:
-                    self._log.log(moment)
-            if self._window.poll() is None:
-                self._log.close()
-        except Exception as error:
-            self._error = error  # raised with the next scan, unless the window is closed
+        moment: Moment | None
+        while (moment := self._waiting.get()) is not None:
+            self._try(partial(self._log.log, moment))
+        self._try(self._log.close)
+
+    def _try(self, send: Callable[[], None]) -> None:
+        """Send something, if the window is open; an error is raised with the next scan."""
+        if self._window.poll() is None:
+            try:
+                send()
+            except Exception as error:
+                self._error = error
 
 
 class RerunPageOutput(Output):

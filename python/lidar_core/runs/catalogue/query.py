@@ -113,7 +113,8 @@ def matching_rows(columns: Columns, query: str) -> Columns:
         bare = without_ticks(query, columns)
         if bare is None:
             raise
-        raise ConfigError(f"query: {bare} needs backticks: {ticked(bare)}") from error
+        cure = f"a column of this name needs backticks: {ticked(bare)}"
+        raise ConfigError(f"{error}; {cure}") from error
     if np.asarray(chosen).dtype != np.bool_:
         raise ConfigError(f"query: expected a comparison, got {query!r}; {_EXAMPLE}")
     rows = np.broadcast_to(np.asarray(chosen), (count,))

@@ -60,7 +60,8 @@ def without_ticks(query: str, columns: Iterable[str]) -> str | None:
         (
             name
             for name in columns
-            if name and ticked(name) != name
+            if ticked(name) != name and re.search(r"[^\W\d]", name) and "`" not in name
+            if not keyword.iskeyword(name)
             if re.search(rf"(?<!\w){re.escape(name)}(?!\w)", outside)
         ),
         None,

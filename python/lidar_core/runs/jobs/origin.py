@@ -54,7 +54,8 @@ def _origin(folder: Path) -> str | None:
     """Return the path of the batch file whose jobs are in the folder; None if it is not known."""
     try:
         note = toml_values(read_whole(folder / ORIGIN), ORIGIN)
-        return _told_path(Path(note["input"]["jobs"]))
+        place = Path(note["input"]["jobs"])
+        return _told_path(place) if place.is_absolute() else None
     except (OSError, ValueError, KeyError, TypeError):  # no such note, or none of a batch
         return None
 

@@ -82,7 +82,7 @@ def test_a_target_of_less_than_a_return_per_scan_has_a_track_within_the_range_of
     assert np.mean(shown[30:]) >= 0.9
 
 
-@pytest.mark.ci_cases("20.0")
+@pytest.mark.ci_cases("None")
 @pytest.mark.parametrize("distance", [None, 20.0])
 def test_without_it_such_a_target_has_none(distance: float | None) -> None:
     config = FlyingConfig(few_returns_distance=distance)

@@ -256,8 +256,11 @@ def test_columns_of_any_name_stand_between_backticks(query, rows):
 @pytest.mark.parametrize(
     ("query", "text"),
     [
-        ("circles-1.elements > 4", r"circles-1\.elements needs backticks: `circles-1\.elements`$"),
-        ("ms per scan > 4", "ms per scan needs backticks: `ms per scan`$"),
+        (
+            "circles-1.elements > 4",
+            r"; a column of this name needs backticks: `circles-1\.elements`$",
+        ),
+        ("ms per scan > 4", "a column of this name needs backticks: `ms per scan`$"),
         (
             "`circles-2.elements` > 4",
             r"got 'circles-2\.elements'; did you mean circles-1\.elements",
