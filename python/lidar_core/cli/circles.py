@@ -17,7 +17,7 @@ from lidar_core.cli.shared.common import (
     shown_progress,
     stage_rows,
 )
-from lidar_core.cli.shared.run_options import RunOptions, ScanRate, Stamps, with_options
+from lidar_core.cli.shared.run_options import PlanarRunOptions, ScanRate, Stamps, with_options
 from lidar_core.util.rows import Row
 
 if TYPE_CHECKING:
@@ -32,9 +32,9 @@ MOST_MOVERS = 6  # named in the table
 FILM = "Also draw film.mp4, or film.gif if ffmpeg is not installed."
 
 
-@with_options(RunOptions)
+@with_options(PlanarRunOptions)
 def command(
-    options: RunOptions,
+    options: PlanarRunOptions,
     *,
     scan: Annotated[
         list[str],

@@ -22,10 +22,10 @@ _HINTS = {
     ".txt": "text holds no scans; poses are for pose=FILE, measurements of LiDAR and radar (L/R)"
     " for `lidar-core fuse`",
     ".yaml": "not a recording; of a ROS 2 recording open the folder",
-    ".bz2": f"{_PACKED}bunzip2 FILE",
-    ".gz": f"{_PACKED}gunzip FILE",
+    ".bz2": f"{_PACKED}bunzip2 -k FILE",
+    ".gz": f"{_PACKED}gunzip -k FILE",
     ".tar": f"an archive; {_FIRST}tar xf FILE",
-    ".xz": f"{_PACKED}unxz FILE",
+    ".xz": f"{_PACKED}unxz -k FILE",
     ".zip": f"{_PACKED}unzip FILE",
     ".zst": f"{_PACKED}unzstd FILE",
     ".zstd": f"{_PACKED}unzstd FILE",

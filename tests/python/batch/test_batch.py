@@ -337,7 +337,8 @@ ELSEWHERE = {
     "evaluate a b --json scores.json": "--json",
     "convert a.bag {output}/b.bag --json {output}/../../a.json": "--json",
     "train circles -c a.toml -o run": "--output",
-    "demo": "--output",
+    "demo": "--output, such as --output {output}/demo",
+    "report {output}/run": "--output, such as --output {output}/report.html",
 }
 """Commands that write outside of the folder of the job, and by what."""
 

@@ -537,3 +537,9 @@ def test_paper_mode_refuses_a_recording_of_another_scanner(tmp_path):
         "--no-picture",
         "--no-mcap",
     )
+
+
+def test_the_help_offers_no_poses_that_are_refused():
+    text = " ".join(invoke("circles", "--help").output.split())
+    assert "KISS" not in text
+    assert "KISS" in " ".join(invoke("detect", "--help").output.split())

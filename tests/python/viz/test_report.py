@@ -85,7 +85,7 @@ def test_a_demo_is_reported_with_its_errors_times_and_configuration(demo, tmp_pa
     path = write_report(demo, tmp_path / "a" / "demo.html")
     page = Page(path)
     heads = page.texts["h2"]
-    assert heads[:3] == ["Warnings", "View", "Picture"]
+    assert heads[:3] == ["Warnings and notes", "View", "Picture"]
     for head in ("Errors", "Time per scan", "Summary", "Configuration and versions"):
         assert head in heads
     assert "Consistency" not in heads  # NIS is of fuse
@@ -253,10 +253,16 @@ def test_a_run_without_truth_has_no_errors_and_takes_a_truth_that_is_given(circl
     assert page.scene["truth"]
 
 
-def test_warnings_of_the_run_are_shown_first(circles, tmp_path):
+def test_warnings_and_notes_of_the_run_are_shown_first(circles, tmp_path):
     path = circles / "summary.json"
     kept = path.read_text()
-    told = {**json.loads(kept), "warnings": [f"poses are late {HOSTILE}"]}
+    page = Page(write_report(circles, tmp_path / "a.html"))
+    assert "No warnings and no notes." in "".join(page.texts["p"])
+    told = {
+        **json.loads(kept),
+        "warnings": [f"poses are late {HOSTILE}"],
+        "notes": ["10 Hz assumed"],
+    }
     try:
         path.write_text(json.dumps(told))
         page = Page(write_report(circles, tmp_path / "a.html"))
@@ -264,7 +270,10 @@ def test_warnings_of_the_run_are_shown_first(circles, tmp_path):
         path.write_text(kept)
     warning = next(attrs for tag, attrs in page.elements if attrs.get("class") == "warning")
     assert warning
-    assert HOSTILE in "".join(page.texts["section"][:1])
+    first = "".join(page.texts["p"])
+    assert HOSTILE in first
+    assert "10 Hz assumed" in first
+    assert "No warnings" not in first
 
 
 def test_the_page_asks_for_nothing_and_runs_only_its_own_script(circles, tmp_path):

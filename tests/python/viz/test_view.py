@@ -440,7 +440,7 @@ def test_a_window_without_a_display_is_refused_before_anything_is_written(circle
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     error = invoke("view", circles).exception
     assert isinstance(error, ConfigError)
-    assert "no display: use --web, --png FILE or --foxglove" in str(error)
+    assert "no display: use --web, --foxglove, --png FILE, --film FILE or --rrd FILE" in str(error)
 
 
 @pytest.mark.parametrize(

@@ -154,7 +154,9 @@ def _show_window(played: "Playback") -> None:
     from lidar_core.viz.rerun_process import has_display
 
     if not has_display():
-        raise ConfigError("view: no display: use --web, --png FILE or --foxglove")
+        raise ConfigError(
+            "view: no display: use --web, --foxglove, --png FILE, --film FILE or --rrd FILE"
+        )
     with TemporaryDirectory(prefix="lidar-core-view-") as folder:
         status = show_window(write_rerun(played, Path(folder) / RERUN_FILE))
     if status != 0:

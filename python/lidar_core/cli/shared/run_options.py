@@ -20,6 +20,7 @@ _POSE = (
     "auto: transforms or odometry of the recording; static: the sensor does not move; kiss:"
     " KISS-ICP; or a file of poses (KITTI, TUM)."
 )
+_PLANAR_POSE = _POSE.replace(" kiss: KISS-ICP;", "")
 _MOUNTING = "Mounting of a sensor: PARENT FRAME x y z roll pitch yaw \\[m, rad]; may be repeated."
 _FIXED_FRAME = "Frame of the map; default: root of the transform tree."
 _SET = "Set a value: SECTION.NAME=VALUE, as in `config show`; may be repeated."
@@ -60,6 +61,9 @@ Odom: TypeAlias = Annotated[
     ),
 ]
 PoseSource: TypeAlias = Annotated[str | None, typer.Option(help=_POSE, rich_help_panel=READ)]
+PlanarPoseSource: TypeAlias = Annotated[
+    str | None, typer.Option(help=_PLANAR_POSE, rich_help_panel=READ)
+]
 FixedFrame: TypeAlias = Annotated[str | None, typer.Option(help=_FIXED_FRAME, rich_help_panel=READ)]
 Mountings: TypeAlias = Annotated[list[str], typer.Option(help=_MOUNTING, rich_help_panel=READ)]
 ChosenMode: TypeAlias = Annotated[
@@ -135,6 +139,13 @@ class RunOptions(PipelineOptions):
     overwrite: Overwrite = False
     checkpoint: Checkpoint = None
     resume: Resume = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanarRunOptions(RunOptions):
+    """Options of a command for 2D scans, from which KISS-ICP finds no poses."""
+
+    pose: PlanarPoseSource = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

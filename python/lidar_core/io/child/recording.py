@@ -41,7 +41,7 @@ class ChildRecording(Recording):
                 "open",
                 path=str(path),
                 folder=os.getcwd(),
-                options=options.model_dump(mode="json"),
+                options=options.model_dump(mode="json", exclude_unset=True),
                 most_written=options.max_unpacked_bytes if is_packed else 0,
                 temporary=self._temporary.name if self._temporary is not None else None,
             )

@@ -25,6 +25,7 @@ from lidar_core.messages import Message, Pose, Scan
 FRAME, WORLD_FRAME = "lidar", "world"
 MOST_NAMED = 10
 """Damaged files that a text names."""
+ASSUMED = "assumed, scan_rate=RATE states another"
 POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4")])
 _NANOSECONDS = re.compile(r"^\d{18,19}$")
 _NUMBERED = re.compile(r"^(.*?)(\d+)(\D*)$")
@@ -150,8 +151,10 @@ class SequenceRecording(Recording):
         rate, numbers = self.options.scan_rate, _numbers(self._stored)
         counted = list(range(len(self._stored)))
         steps = {b - a for a, b in pairwise(numbers)}
-        told = f"{rate:g} Hz assumed, scan_rate=RATE states another"
-        if steps - {1}:
+        is_stated = "scan_rate" in self.options.model_fields_set
+        told = f"{rate:g} Hz " + ("as stated" if is_stated else ASSUMED)
+        has_gaps = bool(steps - {1})
+        if has_gaps:
             told += (
                 f"; {len(numbers)} files have numbers from {numbers[0]} to {numbers[-1]}:"
                 f" {numbers[-1] - numbers[0] + 1 - len(numbers)} numbers are missing"
@@ -165,7 +168,7 @@ class SequenceRecording(Recording):
                     ", but the files are counted without gaps; if that is wrong, state their times"
                     " in a file times.txt"
                 )
-        if len(self._stored) > 1:
+        if len(self._stored) > 1 and (has_gaps or not is_stated):
             self.findings.note(f"no times.txt and no times in the names: {told}")
         return [round(number * NS / rate) for number in counted]
 

@@ -25,6 +25,9 @@ UsageError = cast("type[Exception]", BadParameter.__base__)
 WRITTEN = {("export", "model")}
 """Arguments, besides those called output, that name what a command writes."""
 
+NAMES = {"report": "report.html"}
+"""Names for what commands write; others write to what is named like the command."""
+
 
 def options_of(command: str) -> set[str]:
     """Options of a command that take a value."""
@@ -64,11 +67,14 @@ def check_commands(job: BatchJob) -> None:
             raise ConfigError(
                 f"jobs.{job.group}.commands: {' '.join(command)!r}: {told.format_message()}"
             ) from error
-        outside = [where for where, value in written if not _is_inside(value)]
+        outside = [(where, value) for where, value in written if not _is_inside(value)]
         if outside:
+            where, value = outside[0]
+            name = NAMES.get(command[0], command[0])
+            cure = f", such as {where} {{{OUTPUT}}}/{name}" if value is None else ""
             raise ConfigError(
                 f"jobs.{job.group}.commands: expected {{{OUTPUT}}} in {' '.join(command)!r}, as the"
-                f" beginning of {outside[0]}; files elsewhere are not part of the job"
+                f" beginning of {where}{cure}; files elsewhere are not part of the job"
             )
 
 

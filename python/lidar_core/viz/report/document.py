@@ -94,7 +94,7 @@ def write_report(
         raise FormatError(f"{folder}: neither scans nor estimates to report")
     start_ns = first[0]
     held_against = _held_against(folder, truth)
-    told = [*_texts(summary.get("warnings"))]
+    told = [*_texts(summary.get("warnings")), *_texts(summary.get("notes"))]
     known = {} if held_against is None else held_against.ways(start_ns)
     has_known_map = bool(made_by.get("input", {}).get("map"))
     scene = scene_of(played, known, start_ns=start_ns, has_known_map=has_known_map)
@@ -268,7 +268,7 @@ def _page(
         title=escape(title),
         command=escape(command),
         version=escape(__version__),
-        warnings=told or "<p>No warnings.</p>",
+        warnings=told or "<p>No warnings and no notes.</p>",
         sections="".join(
             f"<section><h2>{escape(section.title)}</h2>{section.body}</section>"
             for section in shown

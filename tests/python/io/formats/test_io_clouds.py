@@ -252,7 +252,7 @@ def test_files_that_are_no_recordings_are_told_apart(tmp_path, name, cure):
 
 @pytest.mark.parametrize(
     ("name", "cure"),
-    [("a.bag.xz", "unpack first: unxz "), ("a.dat", "readable are")],
+    [("a.bag.xz", "unpack first: unxz -k "), ("a.dat", "readable are")],
 )
 def test_a_folder_of_packed_recordings_says_how_they_are_unpacked(tmp_path, name, cure):
     (tmp_path / name).write_bytes(b"x")
@@ -323,6 +323,18 @@ def test_times_follow_numbers_with_gaps_and_a_note_says_so(tmp_path):
     with lc.io.open_recording(tmp_path / "a") as recording:
         assert [scan.stamp_ns / 1e9 for scan in recording] == [0, 1, 2, 3]
         assert recording.noticed().notes == []
+
+
+def test_a_stated_rate_is_not_told_as_assumed(tmp_path):
+    folder = tmp_path / "a"
+    assert numbered(folder, ["1", "2", "3"])[1] == "10 Hz assumed, scan_rate=RATE states another"
+    with lc.io.open_recording(folder, scan_rate=2.0) as recording:
+        assert [scan.stamp_ns / 1e9 for scan in recording] == [0, 0.5, 1]
+        assert recording.noticed().notes == []
+    (folder / "2.pcd").unlink()
+    with lc.io.open_recording(folder, scan_rate=10.0) as recording:
+        (note,) = recording.noticed().notes
+    assert "in the names: 10 Hz as stated; 2 files have numbers from 1 to 3" in note
 
 
 @pytest.mark.parametrize(
