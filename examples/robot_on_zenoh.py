@@ -91,4 +91,9 @@ def main(path, rate="1", address=ADDRESS):
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    if {"-h", "--help"} & set(sys.argv):
+        print(__doc__)
+    elif not 1 <= len(sys.argv[1:]) <= 3:
+        sys.exit(__doc__)
+    else:
+        main(*sys.argv[1:])

@@ -120,6 +120,9 @@ def _tables_of_tracks(folder: Path) -> list[Path]:
 def _of_table(place: Path, kind: str | None = None) -> Prediction:
     """Read the tracks of a table; of a table of flying objects only those of `kind`, if given."""
     columns = read_columns(place)
+    many = len(set(columns.get("recording", np.empty(0)).tolist())) if place.is_dir() else 0
+    if many > 1:
+        raise FormatError(f"{place}: tables of {many} recordings; give the table of one")
     if kind is not None and {"kind", "extent_z"} <= set(columns):
         chosen = columns["kind"] == kind
         columns = {name: column[chosen] for name, column in columns.items()}

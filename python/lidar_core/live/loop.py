@@ -21,6 +21,7 @@ from lidar_core.util.reasons import first_of_kind
 
 IDLE_S = 0.05  # longest sleep while nothing arrives
 SILENCE_S = 1.2  # without a scan, after which is told what there is instead
+CLOCK_JUMP_S = 5.0  # a scan that is older than the newest by more is not late: its clock jumped
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +89,7 @@ class LiveLoop(Generic[ScanT]):
         self._waiting: dict[str, deque[_Waiting[ScanT]]] = {}
         self._frame, self._is_ready = "", False
         self._objects = 0
+        self._processed_ns: dict[str, int] = {}  # newest processed scan of each topic
         self._on_report, self._on_silence, self._on_reason = on_report, on_silence, on_reason
         self._is_silence_told = False
         self._wanted = frozenset(topics)
@@ -238,7 +240,7 @@ class LiveLoop(Generic[ScanT]):
             try:
                 return waiting, self._poses.posed(waiting.scan)
             except NoTransformError as error:
-                self._count(self.stats.without_pose, str(error))
+                self._count(self.stats.without_pose, self._told(waiting.scan, str(error)))
                 return None
         return None
 
@@ -248,7 +250,7 @@ class LiveLoop(Generic[ScanT]):
         try:
             self._poses.posed(waiting.scan)
         except NoTransformError as error:
-            self._count(self.stats.without_pose, str(error))
+            self._count(self.stats.without_pose, self._told(waiting.scan, str(error)))
         else:
             self.stats.dropped[topic] += 1
 
@@ -264,8 +266,12 @@ class LiveLoop(Generic[ScanT]):
     ) -> None:
         update = pipeline.take(posed, self._poses.fixed_frame)
         if isinstance(update, str):
-            self._reject(update)
+            self._reject(self._told(waiting.scan, update))
             return
+        scan = waiting.scan
+        self._processed_ns[scan.topic] = max(
+            scan.stamp_ns, self._processed_ns.get(scan.topic, scan.stamp_ns)
+        )
         for output in self._outputs:
             try:
                 output.publish(update)
@@ -277,6 +283,16 @@ class LiveLoop(Generic[ScanT]):
         stamp_ns = update.stamp_ns
         self.stats.from_arrival.add(now_ns - waiting.arrival_ns)
         self.stats.from_stamp.add(now_ns - stamp_ns - self._source.lead_ns(stamp_ns))
+
+    def _told(self, scan: ScanT, reason: str) -> str:
+        """Return why a scan is not processed: the clock of its source, if that went back far."""
+        back = (self._processed_ns.get(scan.topic, scan.stamp_ns) - scan.stamp_ns) * 1e-9
+        if back <= CLOCK_JUMP_S:
+            return reason
+        return (
+            f"{scan.topic or 'scans'}: the clock of the source went back by {back:.1f} s (a loop or"
+            " a restart of the source): start live again"
+        )
 
     def _reject(self, reason: str) -> None:
         self._count(self.stats.rejected, reason)

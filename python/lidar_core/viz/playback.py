@@ -131,6 +131,14 @@ class Playback:
         frames = self._columns.get("frame_id", _NO_ROWS)
         return str(frames[0]) if len(frames) else "world"
 
+    def nothing_to(self, verb: str) -> FormatError:
+        """Error for a run that holds nothing to draw or report, with the way to a run that does."""
+        return FormatError(
+            f"{self.folder}: neither scans nor estimates to {verb}: no scan was processed. Its"
+            " summary.json says why, under scans, without_pose and notes; run the command again"
+            " with what its scans lacked, such as poses (pose=FILE)"
+        )
+
     def steps(self) -> Iterator[tuple[int, Objects]]:
         """Processed times [ns] in ascending order with the objects at each, without scans.
 

@@ -8,7 +8,6 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.errors import FormatError
 from lidar_core.io.write.circle_scene import ellipse
 from lidar_core.messages import ShownClass
 from lidar_core.viz.drawing.frame import Window, bulk_of, panel_tallness, window_around, window_over
@@ -143,7 +142,7 @@ def _times(run: Playback) -> tuple[list[int], int]:
     """Times [ns] that can be drawn, and that of the first scan even if no scans were kept."""
     times = run.times()
     if not times:
-        raise FormatError(f"{run.folder}: neither scans nor estimates to draw")
+        raise run.nothing_to("draw")
     first, _ = next(run.steps(), (times[0], None))
     return times, min(first, times[0])
 

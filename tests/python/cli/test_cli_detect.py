@@ -137,6 +137,9 @@ def test_a_short_recording_says_which_gate_stayed_closed(recording, tmp_path):
     assert out.exit_code == 0, out.output
     assert "closed" in out.output
     assert "burn-in: scan" in out.output
+    assert "; --repeat N plays a short recording N times" in " ".join(out.output.split())
+    out = run_command(path, "-o", tmp_path / "repeated", "--repeat", 12, "--no-picture")
+    assert "burn-in" not in out.output
 
 
 def scaled(recording, path, factor):

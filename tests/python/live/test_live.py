@@ -301,6 +301,31 @@ def test_reasons_that_differ_in_their_numbers_are_printed_and_counted_once():
     assert summary["rejected"] == {told[0]: 6, told[1]: 3}
 
 
+class Ordered(Slow):
+    """Takes scans in the order of their stamps, as long as one may come half a second late."""
+
+    def take(self, item, frame_id):
+        stamp_ns = item.scan.stamp_ns
+        if self.taken and stamp_ns < max(self.taken) - 5 * 10**8:
+            return f"scan of {stamp_ns} ns: raise `buffer_time`"
+        self.taken.append(stamp_ns)
+        return SimpleNamespace(stamp_ns=stamp_ns, objects=SimpleNamespace(id=[]))
+
+
+def test_a_clock_that_went_back_is_named_as_such():
+    """A little late is late; far back, no parameter helps."""
+    told = []
+    stamps = [round(seconds * 1e9) for seconds in (30, 31, 30.2, 9, 9.1, 9.2)]
+    items = [(None, record(LASER, laser(stamp))) for stamp in stamps]
+    summary = run_loop(Played(*items), Ordered(0), on_reason=told.append)
+    back = (
+        "/scan: the clock of the source went back by 22.0 s (a loop or a restart of the source):"
+        " start live again"
+    )
+    assert told == ["scan of 30200000000 ns: raise `buffer_time`", back]
+    assert summary["rejected"] == {told[0]: 1, back: 3}
+
+
 def test_a_scan_waits_for_its_pose_and_not_for_ever():
     pipeline = Slow(0)
     stamps = [10**9, 2 * 10**9, 3 * 10**9]
@@ -680,6 +705,15 @@ def test_the_robot_of_the_examples_is_processed(circles):
     assert robot.returncode == 0
     assert summary["processed"] > SCANS // 8
     assert summary["processed"] + sum(summary["dropped"].values()) > SCANS // 2
+
+
+@pytest.mark.parametrize(("given", "status"), [(["--help"], 0), ([], 1)])
+def test_the_robot_of_the_examples_says_what_it_takes(given, status):
+    pytest.importorskip("zenoh")
+    command = [sys.executable, ROBOT, *given]
+    done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=PATIENCE_S)
+    assert done.returncode == status
+    assert "robot_on_zenoh.py RECORDING [RATE] [ADDRESS]" in done.stdout + done.stderr
 
 
 def test_the_robot_of_the_examples_ends_with_a_recording_that_breaks(circles, monkeypatch):

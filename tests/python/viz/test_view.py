@@ -23,7 +23,14 @@ from PIL import Image
 import lidar_core as lc
 import lidar_core.io
 from lidar_core.errors import ConfigError, FormatError, LinkError, MissingExtraError
-from lidar_core.viz import Objects, Playback, draw_film, draw_moment, playback_picture
+from lidar_core.viz import (
+    Objects,
+    Playback,
+    draw_film,
+    draw_moment,
+    playback_picture,
+    write_report,
+)
 from lidar_core.viz.drawing.frame import Window
 from lidar_core.viz.drawing.marks import TRACK_COLOURS, colours_of
 from lidar_core.viz.figure import write_figure
@@ -187,6 +194,14 @@ def test_other_folders_are_refused_in_words(tmp_path):
     (tmp_path / "run.toml").touch()
     with pytest.raises(FormatError, match=r"neither tracks nor circles in it, but run\.toml"):
         Playback(tmp_path)
+    (tmp_path / "tracks.csv").write_text("t_ns,track_id,x,y,z\n")
+    for draw in (draw_moment, draw_film):
+        with pytest.raises(
+            FormatError, match=r"estimates to draw: no scan was processed\..*lacked"
+        ):
+            draw(Playback(tmp_path), tmp_path / "a.gif")
+    with pytest.raises(FormatError, match=r"estimates to report: .*poses \(pose=FILE\)"):
+        write_report(tmp_path)
 
 
 @pytest.mark.ci_cases("circles")

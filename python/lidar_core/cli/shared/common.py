@@ -126,6 +126,7 @@ OPTIONS = {
             "odom",
             "overwrite",
             "pose",
+            "repeat",
             "replay",
             "resume",
             "scan_rate",

@@ -152,8 +152,14 @@ class TransformBuffer:
         low, high = known[0] - self._max_hold_ns, known[-1] + self._max_hold_ns
         outside = stamps[(stamps < low) | (stamps > high)]
         if len(outside):
+            stamp = outside[0]
+            apart = (
+                f"{(known[0] - stamp) * 1e-9:.3g} s before the first"
+                if stamp < low
+                else f"{(stamp - known[-1]) * 1e-9:.3g} s after the last"
+            )
             raise NoTransformError(
-                f"{name} is known from {known[0]} to {known[-1]} ns, not at {outside[0]} ns"
+                f"{name} is known from {known[0]} to {known[-1]} ns, not at {stamp} ns ({apart})"
             )
         inside = np.clip(stamps, known[0], known[-1])
         after = np.clip(np.searchsorted(known, inside, side="left"), 1, max(len(known) - 1, 1))

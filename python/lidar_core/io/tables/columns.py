@@ -29,6 +29,8 @@ SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
 SEPARATOR_LINE = re.compile(r"\"?sep=([,;\t])\"?\s*", re.IGNORECASE)
 """First line by which spreadsheets tell the separator."""
 TRACK_FILE = re.compile(r"track_(\d+)\.txt")
+RUN_NOTE = "run.toml"
+"""File that a folder of a run has: its tables are different ones."""
 FOREIGN = (".parquet", ".mcap")
 """Endings of tables that libraries parse."""
 SCENE_UPDATE = "foxglove.SceneUpdate"
@@ -44,7 +46,8 @@ def read_columns(path: str | Path, *, trusted: bool | None = None) -> Columns:
         tabs; a first line `sep=;` also counts; with semicolons and tabs, numbers may have decimal
         commas), .parquet or .npz (one array per column); a TUM trajectory .txt or .tum, or a folder
         of track_ID.txt as `write_tum` writes it; an MCAP file with tracks as `write_mcap` writes
-        it.
+        it; a folder of .parquet or .csv tables with the same columns, such as tracks/ of a batch,
+        one after another.
     trusted : bool, optional
         See `lidar_core.io.open_recording`: with False a child process parses Parquet and MCAP.
 
@@ -65,7 +68,7 @@ def read_columns(path: str | Path, *, trusted: bool | None = None) -> Columns:
     """
     place = Path(path)
     if check_regular_or_folder(place).is_dir():
-        return _read_trajectories(place)
+        return _read_folder(place, trusted=trusted)
     suffix = place.suffix.lower()
     if suffix in FOREIGN and not is_trusted(trusted):
         return dict(call("tables.columns:read_in_child", place))
@@ -211,10 +214,43 @@ def _read_parquet(path: Path) -> Columns:
         return {name: table[name].to_numpy() for name in table.column_names}
 
 
-def _read_trajectories(folder: Path) -> Columns:
+def tables_of(folder: Path) -> list[Path]:
+    """Return the tables of a folder that are read as one, such as tracks/ of a batch, by name."""
+    return sorted(one for one in folder.iterdir() if one.suffix in {".csv", ".parquet"})
+
+
+def read_tables(files: Sequence[Path], *, trusted: bool | None = None) -> Columns:
+    """Read tables with the same columns as one table, in their order.
+
+    Raises
+    ------
+    FormatError
+        Their columns differ; errors of `read_columns`.
+    LimitError
+        All together more than one table may have.
+    """
+    _check(files[0].parent, sum(file.stat().st_size for file in files))
+    parts = [read_columns(one, trusted=trusted) for one in files]
+    for file, part in zip(files, parts, strict=True):
+        if list(part) != list(parts[0]):
+            raise FormatError(f"{file}: expected the columns of {files[0].name}")
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def _read_folder(folder: Path, *, trusted: bool | None) -> Columns:
     files = sorted(path for path in folder.iterdir() if TRACK_FILE.fullmatch(path.name))
-    if not files:
-        raise FormatError(f"{folder}: expected a run folder, or one with files track_ID.txt")
+    if files:
+        return _read_trajectories(folder, files)
+    tables = [] if (folder / RUN_NOTE).is_file() else tables_of(folder)
+    if not tables:
+        raise FormatError(
+            f"{folder}: expected a run folder, or one with files track_ID.txt, or with tables"
+            " (.parquet, .csv)"
+        )
+    return read_tables(tables, trusted=trusted)
+
+
+def _read_trajectories(folder: Path, files: Sequence[Path]) -> Columns:
     _check(folder, sum(path.stat().st_size for path in files))
     parts = [_read_trajectory(path) for path in files]
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lidar_core.batch.results import NOTE, JobRecord
 from lidar_core.errors import ConfigError, FormatError, unknown
-from lidar_core.io.tables.columns import Columns, read_columns
+from lidar_core.io.tables.columns import Columns, read_columns, read_tables, tables_of
 from lidar_core.run_folder import RUN_FILE, table_in
 from lidar_core.runs.catalogue.objects import events_of
 from lidar_core.runs.catalogue.syntax import (
@@ -64,14 +64,10 @@ def read_table(path: str | Path) -> Columns:
     table = table_in(place, "events")
     if table is not None:
         return read_columns(table)
-    files = sorted(one for one in place.iterdir() if one.suffix in {".csv", ".parquet"})
+    files = tables_of(place)
     if not files:
         raise FormatError(f"{place}: {_without_tables(place)}")
-    parts = [read_columns(one) for one in files]
-    for file, part in zip(files, parts, strict=True):
-        if list(part) != list(parts[0]):
-            raise FormatError(f"{file}: expected the columns of {files[0].name}")
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    return read_tables(files)
 
 
 def _without_tables(folder: Path) -> str:

@@ -176,7 +176,7 @@ class FlyingRun:
 
     @property
     def notes(self) -> list[str]:
-        """Return warnings: a full map, lengths that are not in metres, poses that seem wrong."""
+        """Return warnings: a full map, a closed gate, lengths not in metres, wrong poses."""
         forgotten = self.detector.health().n_voxels_forgotten
         budget = self.detector.config.voxel_map.max_voxels
         found = []
@@ -185,6 +185,11 @@ class FlyingRun:
                 f"the map reached its budget of {budget:,} voxels and forgot {forgotten:,}, those"
                 f" farthest from the sensor first; set voxel_map.max_voxels={4 * budget} keeps"
                 " more, set forget_distance=METRES keeps less"
+            )
+        if self.frames and self.frames[-1].status.is_burn_in:
+            found.append(
+                f"{self.gate_reason}: the run ended before detections are reported; repeat=N plays"
+                " a short recording N times, so that it completes the burn-in"
             )
         return found + self._doubts()
 

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from lidar_core._core import __version__
 from lidar_core.config import checked
-from lidar_core.errors import FormatError
 from lidar_core.evaluation import EvaluationConfig, evaluate, read_prediction, read_truth
 from lidar_core.evaluation.score_rows import all_rows, consistency_warnings, counted_caption
 from lidar_core.evaluation.types import Truth
@@ -91,7 +90,7 @@ def write_report(
     summary, (note, made_by) = read_summary(folder), read_note(folder)
     first = next(iter(played.steps()), None)
     if first is None:
-        raise FormatError(f"{folder}: neither scans nor estimates to report")
+        raise played.nothing_to("report")
     start_ns = first[0]
     held_against = _held_against(folder, truth)
     told = [*_texts(summary.get("warnings")), *_texts(summary.get("notes"))]

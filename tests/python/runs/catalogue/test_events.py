@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from lidar_core.batch import JobRecord
 from lidar_core.errors import ConfigError, FormatError
+from lidar_core.evaluation import read_prediction
 from lidar_core.io import read_columns
 from lidar_core.runs.catalogue import (
     EVENTS,
@@ -161,6 +162,24 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path):
         objects_of(tmp_path)
     with pytest.raises(FormatError, match="expected a table, the folder of a run or of a batch"):
         read_table(tmp_path)
+
+
+def test_a_folder_of_tables_is_one_table(runs, tmp_path):
+    """Such as tracks/ of a batch. Tables of a run, or of several recordings, are not the same."""
+    header = "recording,t_ns,track_id,x,y,z"
+    (tmp_path / "b.csv").write_text(f"{header}\nstreet,3,1,0,0,0\n")
+    (tmp_path / "a.csv").write_text(f"{header}\nyard,1,1,0,0,0\nyard,2,1,0,0,0\n")
+    table = read_columns(tmp_path)
+    assert table["t_ns"].tolist() == [1, 2, 3]
+    assert table["recording"].tolist() == ["yard", "yard", "street"]
+    assert read_table(tmp_path)["t_ns"].tolist() == [1, 2, 3]
+    with pytest.raises(FormatError, match="tables of 2 recordings; give the table of one"):
+        read_prediction(tmp_path)
+    (tmp_path / "c.csv").write_text("t_ns\n1\n")
+    with pytest.raises(FormatError, match=r"c\.csv: expected the columns of a\.csv"):
+        read_columns(tmp_path)
+    with pytest.raises(FormatError, match="expected a run folder, or one with files track_ID"):
+        read_columns(runs / "flying")
 
 
 def test_an_event_has_the_kind_of_its_track_where_it_ends(tmp_path):
