@@ -195,11 +195,11 @@ def test_other_folders_are_refused_in_words(tmp_path):
     with pytest.raises(FormatError, match=r"neither tracks nor circles in it, but run\.toml"):
         Playback(tmp_path)
     (tmp_path / "tracks.csv").write_text("t_ns,track_id,x,y,z\n")
-    for draw in (draw_moment, draw_film):
+    for draw, name in ((draw_moment, "a.png"), (draw_film, "a.gif")):
         with pytest.raises(
             FormatError, match=r"estimates to draw: no scan was processed\..*lacked"
         ):
-            draw(Playback(tmp_path), tmp_path / "a.gif")
+            draw(Playback(tmp_path), tmp_path / name)
     with pytest.raises(FormatError, match=r"estimates to report: .*poses \(pose=FILE\)"):
         write_report(tmp_path)
 
