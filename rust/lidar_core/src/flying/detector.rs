@@ -317,7 +317,16 @@ impl FlyingObjectDetector {
         let map = &mut local.map;
         let found = (&scan.points[..], classifier.clusters(), classifier.classifications());
         let standing = static_points.take(found, gate, seed, distance, map, tracker);
-        classifier.flying_in(&standing, &scan.points, map.lattice())
+        let input = ScanToClassify {
+            scan,
+            local,
+            background_extent: None,
+            parameters,
+            expected: &[],
+            in_air: &[],
+            pool: None,
+        };
+        classifier.standing_in_air(&standing, &input)
     }
 
     /// Detections of the scan, including those that only tracks show, in the frame of the map.

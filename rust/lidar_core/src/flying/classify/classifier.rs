@@ -39,7 +39,7 @@ pub(crate) struct Classification {
 
 impl Classification {
     /// A classification with only a class, without evidence.
-    pub(super) fn of(class: PointClass) -> Self {
+    pub(crate) fn of(class: PointClass) -> Self {
         Self { class, ..Self::default() }
     }
 }

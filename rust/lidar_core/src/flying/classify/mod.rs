@@ -13,6 +13,7 @@ pub mod parameters;
 pub(crate) mod pockets;
 pub(crate) mod scan_classifier;
 pub(crate) mod shadow;
+pub(crate) mod standing;
 
 #[cfg(test)]
 mod tests;

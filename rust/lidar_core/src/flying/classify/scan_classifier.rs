@@ -7,6 +7,7 @@ use super::clusters::{Cluster, Clusters};
 use super::expected::ExpectedIn;
 use super::explained::{Explained, is_explained};
 use super::may_fly::{is_alone, may_fly};
+use super::standing::is_in_air;
 use crate::Error;
 use crate::flying::map::local_map::LocalMap;
 use crate::flying::parameters::FlyingParameters;
@@ -16,7 +17,7 @@ use crate::flying::sky::source::SkySource;
 use crate::flying::track::ExpectedTarget;
 use crate::geometry::cluster::angular_gap::AngularGap;
 use crate::geometry::cluster::joined::JoinedLabeller;
-use crate::geometry::lattice::{Lattice, Voxel, floor, wide};
+use crate::geometry::lattice::{Voxel, floor, wide};
 use crate::geometry::transform::norm;
 use crate::util::cancel;
 use crate::util::stopwatch::Clock;
@@ -264,21 +265,26 @@ impl ScanClassifier {
         class.extend(scan.points.iter().zip(labeller.labels()).map(of_row));
     }
 
-    /// Indices of the flying clusters whose points are mostly inside the given voxels (sorted), in ascending order.
-    pub(crate) fn flying_in(
+    /// Indices of the clusters in the air whose points are mostly inside the given voxels (sorted), which have become
+    /// background, in ascending order.
+    pub(crate) fn standing_in_air(
         &self,
         voxels: &[Voxel],
-        points: &[[f32; 3]],
-        lattice: &Lattice,
+        input: &ScanToClassify<'_>,
     ) -> Vec<usize> {
+        let (map, scan, parameters) = (&input.local.map, input.scan, &input.parameters.classify);
+        let (points, origin) = (scan.points.as_slice(), scan.pose.translation);
+        let rules = ClusterRules { map, points, origin, parameters };
         let is_in = |row: &&u32| {
-            let voxel = floor(lattice.scaled(wide(points[**row as usize])));
+            let voxel = floor(map.lattice().scaled(wide(points[**row as usize])));
             voxel.is_some_and(|voxel| voxels.binary_search(&voxel).is_ok())
         };
         let stands = |index: &usize| {
-            let members = self.clusters.get(*index).members;
-            let is_flying = self.classifications[*index].class == PointClass::Flying;
-            is_flying && 2 * members.iter().filter(is_in).count() > members.len()
+            let (cluster, class) = (self.clusters.get(*index), self.classifications[*index].class);
+            2 * cluster.members.iter().filter(is_in).count() > cluster.members.len()
+                && !self.clusters.is_joined(*index)
+                && (class == PointClass::Flying
+                    || class == PointClass::Unknown && is_in_air(&rules, scan, &cluster))
         };
         if voxels.is_empty() {
             return Vec::new();

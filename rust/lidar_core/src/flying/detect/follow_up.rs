@@ -5,6 +5,7 @@ use super::detection::Detection;
 use super::detections::{ScanDetections, ScanToDetect, detect};
 use super::visibility::ScanView;
 use crate::Error;
+use crate::flying::classify::classifier::Classification;
 use crate::flying::classify::scan_classifier::{ScanClassifier, ScanToClassify};
 use crate::flying::map::voxel_map::VoxelMap;
 use crate::flying::point_class::PointClass;
@@ -160,8 +161,8 @@ pub(crate) fn watch(
     if standing.is_empty() {
         return;
     }
-    let all = classifier.classifications();
-    let chosen = standing.iter().map(|&index| (index, &all[index]));
+    let in_air = Classification::of(PointClass::Flying);
+    let chosen = standing.iter().map(|&index| (index, &in_air));
     let found = detect(input, classifier.clusters(), chosen).detections;
     let positions: Vec<_> = found.iter().map(|found| found.position).collect();
     let covariance: Vec<_> = found.iter().map(|found| found.covariance).collect();

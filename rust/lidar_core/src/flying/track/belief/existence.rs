@@ -208,6 +208,11 @@ impl TrackBelief {
         self.kinds.stand(stood);
     }
 
+    /// Enter that something stood at the places of all detections so far.
+    pub(super) fn stood_so_far(&mut self) {
+        self.kinds.stood_so_far();
+    }
+
     /// Enter the track's acceleration [m/s^2] and its variance along every axis, `seconds` after
     /// the last entry. `expected`: standard deviation of the acceleration of a new track [m/s^2].
     pub(super) fn take_acceleration(

@@ -284,6 +284,11 @@ impl Kinds {
         self.stood.add(stood);
     }
 
+    /// Enter that something stood at the places of all detections so far.
+    pub(super) fn stood_so_far(&mut self) {
+        self.stood.mean = 1.0;
+    }
+
     /// Enter the track's acceleration [m/s^2] and its variance along every axis, `seconds` after the last entry.
     ///
     /// The prior of a new track, with the standard deviation `expected` [m/s^2], is removed first, so that only the

@@ -9,6 +9,7 @@ use super::super::motion::{position_block, seconds};
 use super::super::state::PointTrack;
 use super::super::visibility::occupancy::Visibility;
 use super::super::{ExpectedTarget, Track};
+use super::stood::StoodPlaces;
 use crate::estimation::kalman::Gaussian;
 use crate::tracking::kind::{KINDS, KindBelief, TrackKind};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
@@ -234,6 +235,11 @@ pub(in crate::flying::track) fn hand_over(
         merged.push([target.id, track.id]);
         (track.id, *number) = (target.id, target.id);
         track.born_ns = target.born_ns;
+        // Where rays pass a thing that hangs, the map loses it, and it is detected where it has been all the time.
+        track.stood = StoodPlaces::of_object(target.position.into());
+        if !target.is_away(track) && !track.has_speed() {
+            track.belief.stood_so_far();
+        }
     }
     merged
 }
