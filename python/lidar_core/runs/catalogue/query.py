@@ -208,6 +208,10 @@ def _value(node: ast.expr, columns: Columns, query: str, depth: int) -> Any:
             value = columns[node.id]
         case ast.Tuple() | ast.List():
             value = [of(one) for one in node.elts]
+            if any(isinstance(one, np.ndarray) for one in value):
+                raise ConfigError(
+                    f"query: {text_of(node)!r}: expected numbers or texts in a list, got a column"
+                )
         case ast.UnaryOp(op=ast.USub()):
             value = _applied(operator.neg, query, of(node.operand))
         case ast.UnaryOp(op=ast.Not()):

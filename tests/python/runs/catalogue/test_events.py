@@ -289,6 +289,7 @@ def test_columns_of_any_name_stand_between_backticks(query, rows):
         ("_0 > 'ms per scan'", "compares a text with a number$"),
         ("_0 < 4 `", "cannot read"),
         ("subclass == 3", "expected one of .*, got 'subclass'"),
+        ("`class` in (`class`, 'a')", "expected numbers or texts in a list, got a column$"),
         ("`class` = 'a'", "use == to compare: `class` == 'a'"),
         ("`class` == a", "no column a; texts need quotes: `class` == 'a'"),
         ("`class` < 3", "query: '`class` < 3' compares a text with a number"),
