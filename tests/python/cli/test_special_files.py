@@ -150,6 +150,7 @@ def test_a_report_refuses_a_truth_that_is_no_regular_file(place, small_run, kind
     assert not (place / "page.html").exists()
 
 
+@pytest.mark.ci_cases("pipe-*", "device-.pcd", "device-.json", "folder-.mcap", "folder-.json")
 @pytest.mark.parametrize("ending", ENDINGS)
 @pytest.mark.parametrize("kind", ["pipe", "device", "folder"])
 def test_the_ending_of_its_name_makes_no_difference(place, ending, kind):

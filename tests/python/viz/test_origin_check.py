@@ -174,6 +174,7 @@ def port_told(process):
     raise AssertionError("no address")
 
 
+@pytest.mark.ci_cases("view-False", "live-True")
 @pytest.mark.parametrize("allowed", [False, True])
 @pytest.mark.parametrize("command", ["view", "live"])
 def test_view_and_live_ask_for_host_and_origin(run, command, allowed):

@@ -60,6 +60,7 @@ def test_nothing_flies_in_a_crown_or_a_lamp_that_few_rays_hit(name: str, scans: 
     assert TrackKind.FLYING not in kinds
 
 
+@pytest.mark.ci_cases("3.0")
 @pytest.mark.parametrize("wait", [0.0, 3.0])
 def test_what_leaves_a_place_beside_a_crown_flies(wait: float) -> None:
     start, end = np.add(CROWN, (1.5, 1.0, 1.0)), np.add(CROWN, (6.0, 9.0, 1.0))
@@ -72,6 +73,7 @@ def test_what_leaves_a_place_beside_a_crown_flies(wait: float) -> None:
     assert np.mean(found) >= 0.9
 
 
+@pytest.mark.ci_cases("0.5")
 @pytest.mark.parametrize("speed", [0.5, 1.0])
 def test_what_flies_slowly_from_the_first_scan_on_is_known_soon(speed: float) -> None:
     start = np.array([-9.0, 2.0, 5.5])

@@ -424,6 +424,7 @@ def test_boats_are_tracked(recordings, number, association):
         assert item.share < 0.5 or (number, target) not in SHARED
 
 
+@pytest.mark.ci_cases("integrated", "joint")
 @pytest.mark.parametrize("association", ["integrated", "nearest", "joint"])
 def test_fuse_tracks_many(recordings, tmp_path, association):
     path = recordings / "2d" / "autoferry" / "scenario13" / "scenario13_detections.json"
