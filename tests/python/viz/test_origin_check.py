@@ -6,9 +6,9 @@ import json
 import socket
 import struct
 import subprocess
+import sys
 import time
 from importlib.util import find_spec
-from threading import Thread
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 import lidar_core as lc
 from lidar_core.cli import app
 from lidar_core.errors import ConfigError
-from lidar_core.viz.foxglove_server import BACKLOG, FoxgloveServer, ServedLog, serve_foxglove
+from lidar_core.viz.foxglove_server import BACKLOG, FoxgloveServer, ServedLog
 from lidar_core.viz.origin_check import allowed_origins, refusal
 
 FOXGLOVE = "https://app.foxglove.dev"
@@ -195,24 +195,34 @@ def test_view_and_live_ask_for_host_and_origin(run, command, allowed):
             )
 
 
-def test_a_viewer_gets_every_message_as_it_is_stored(run):
+SERVER = """
+import sys
+from lidar_core.viz.foxglove_server import serve_foxglove
+
+serve_foxglove(sys.argv[1], port=0, speed=0.5, on_ready=lambda port: print(port, flush=True))
+"""
+"""Plays a recording again and again, until its process ends."""
+
+
+@pytest.fixture
+def port(run):
+    with subprocess.Popen(
+        [sys.executable, "-c", SERVER, str(run / "run.mcap")], stdout=subprocess.PIPE
+    ) as process:
+        yield int(process.stdout.readline())
+        process.kill()
+
+
+def test_a_viewer_gets_every_message_as_it_is_stored(run, port):
     """Over the WebSocket: channels with their schemas, and every message with its time."""
-    ready, messages, channels = [], [], {}
-
-    def play():
-        serve_foxglove(run / "run.mcap", port=0, speed=0.5, repeat=True, on_ready=ready.append)
-
-    Thread(target=play, daemon=True).start()
-    until = time.monotonic() + PATIENCE_S
-    while not ready:
-        assert time.monotonic() < until
-        time.sleep(0.01)
+    messages, channels = [], {}
     with (run / "run.mcap").open("rb") as file:
         stored = [
             (schema.name, channel.topic, message.log_time, message.data)
             for schema, channel, message in make_reader(file).iter_messages()
         ]
-    link = connected(ready[0])
+    link = connected(port)
+    until = time.monotonic() + PATIENCE_S
     while set(stored) - set(messages):
         assert time.monotonic() < until
         data = link.recv()
