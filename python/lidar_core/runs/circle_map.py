@@ -90,14 +90,15 @@ def circles(
         pose=poses,
         topics=tuple(scans),
         mcap=writes_mcap,
-        picture=picture,
+        picture=picture or film,
         on_progress=on_progress,
         note={"scans": list(scans)},
         checkpoint=checkpoint,
         resume=resume,
     )
     pipeline = CirclePipeline(chosen, allow_untrusted=allow_untrusted)
-    return job.run(CirclesRun(pipeline, film=film, allow_untrusted=allow_untrusted))
+    run = CirclesRun(pipeline, picture=picture, film=film, allow_untrusted=allow_untrusted)
+    return job.run(run)
 
 
 def _with_scanners(

@@ -44,7 +44,7 @@ def recording(tmp_path_factory):
 def run(recording, tmp_path_factory):
     """Folder and result of a run on it."""
     folder = tmp_path_factory.mktemp("circles") / "run"
-    return folder, result_of(recording, "-o", folder, "--film")
+    return folder, result_of(recording, "-o", folder)
 
 
 def test_a_part_of_a_recording_is_mapped(recording, tmp_path):
@@ -71,7 +71,6 @@ def test_the_folder_is_complete_and_noted(recording, run):
         "run.toml",
         "run.mcap",
         "picture.png",
-        f"film{film_ending()}",
         "summary.json",
     } == names
     note = tomllib.loads((folder / "run.toml").read_text())
@@ -80,6 +79,15 @@ def test_the_folder_is_complete_and_noted(recording, run):
     assert scanner["n_beams"] == 1081
     assert result["scans"] == {"received": SCANS, "processed": SCANS, "rejected": {}}
     assert result["elements"] == 1
+
+
+def test_a_film_needs_no_picture(recording, tmp_path):
+    told = ("--film", "--no-picture", "--no-mcap", "--end", 0.3)
+    made = result_of(recording, "-o", tmp_path / "run", *told)
+    film = f"film{film_ending()}"
+    assert film in made["files"]
+    assert (tmp_path / "run" / film).stat().st_size > 10_000
+    assert "picture.png" not in made["files"]
 
 
 def test_the_table_names_what_moves_at_the_end(recording, tmp_path):

@@ -74,8 +74,8 @@ class CirclesRun:
     ----------
     pipeline : CirclePipeline
         Pipeline that gets every scan.
-    film : bool
-        True if a film is among the pictures.
+    picture, film : bool
+        True if `pictures` has the picture, the film.
     allow_untrusted : bool
         Setting of the pipeline that a checkpoint restores.
     """
@@ -83,14 +83,19 @@ class CirclesRun:
     KINDS: tuple[type, ...] = (_Found, CircleElements, ShapeElements)
 
     def __init__(
-        self, pipeline: CirclePipeline, *, film: bool = False, allow_untrusted: bool = False
+        self,
+        pipeline: CirclePipeline,
+        *,
+        picture: bool = True,
+        film: bool = False,
+        allow_untrusted: bool = False,
     ) -> None:
         self.pipeline = pipeline
         self._allow_untrusted = allow_untrusted
         self.frame_id = "world"
         self.maps: list[CircleElements] = []
         self.shapes: list[ShapeElements] = []
-        self._film = film
+        self._picture, self._film = picture, film
         self._times = ScanTimes()
         self._mcap: McapWriter | None = None
         self._found: list[_Found] = []
@@ -210,10 +215,12 @@ class CirclesRun:
         return [table.name, shapes.name, whole.name, found.name, timing.name, TRACKS_FOLDER]
 
     def pictures(self, folder: RunFolder, name: str) -> list[Picture]:
-        """Return the picture of a run on the recording `name`, and the film if it is wanted."""
+        """Return the picture of a run on the recording `name` and the film, as far as wanted."""
         view = self.view(f"{name}: {len(self.maps)} scans, {len(self.element_ids)} elements")
         picture, film = folder.path / "picture.png", folder.path / f"film{film_ending()}"
-        found: list[Picture] = [(picture, lambda _: draw_circles(view, picture))]
+        found: list[Picture] = []
+        if self._picture:
+            found.append((picture, lambda _: draw_circles(view, picture)))
         if self._film:
             found.append((film, lambda on_progress: _draw_film(view, film, on_progress)))
         return found

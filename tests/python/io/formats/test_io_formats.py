@@ -906,7 +906,7 @@ from lidar_core.messages import Pose
 
 resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
 try:
-    io.write_mcap(sys.argv[1], (Pose(k, "a", "b", np.eye(4)) for k in range(30_000)))
+    io.write_mcap(sys.argv[1], (Pose(k, "a", "b", np.eye(4)) for k in range(8_000)))
 except OSError as error:
     print(error)
 """
