@@ -17,7 +17,7 @@ from lidar_core.evaluation.matching.pairing import checked_estimates, checked_tr
 from lidar_core.evaluation.metrics.latency import Latency
 from lidar_core.evaluation.types import Estimates, Truth
 from lidar_core.files import read_whole
-from lidar_core.io.tables.columns import Columns, at_row, read_columns
+from lidar_core.io.tables.columns import Columns, at_row, read_columns, tables_of
 from lidar_core.io.tables.covariance import covariance_titles, symmetric
 from lidar_core.run_folder import RUN_FILE, table_in
 
@@ -120,9 +120,12 @@ def _tables_of_tracks(folder: Path) -> list[Path]:
 def _of_table(place: Path, kind: str | None = None) -> Prediction:
     """Read the tracks of a table; of a table of flying objects only those of `kind`, if given."""
     columns = read_columns(place)
-    many = len(set(columns.get("recording", np.empty(0)).tolist())) if place.is_dir() else 0
+    many = len(set(columns.get("recording", np.empty(0)).tolist()))
     if many > 1:
-        raise FormatError(f"{place}: tables of {many} recordings; give the table of one")
+        raise FormatError(f"{place}: tracks of {many} recordings; give the table of one")
+    # Runs of one recording, such as those of a batch that varies a parameter.
+    if "recording" in columns and place.is_dir() and len(tables := tables_of(place)) > 1:
+        raise FormatError(f"{place}: {len(tables)} tables, such as {tables[0].name}; give one")
     if kind is not None and {"kind", "extent_z"} <= set(columns):
         chosen = columns["kind"] == kind
         columns = {name: column[chosen] for name, column in columns.items()}

@@ -133,6 +133,11 @@ class Playback:
 
     def nothing_to(self, verb: str) -> FormatError:
         """Error for a run that holds nothing to draw or report, with the way to a run that does."""
+        if any(self.steps()):
+            return FormatError(
+                f"{self.folder}: no objects to {verb}, and no scans, which run.mcap holds: run the"
+                " command again with it (mcap=True)"
+            )
         return FormatError(
             f"{self.folder}: neither scans nor estimates to {verb}: no scan was processed. Its"
             " summary.json says why, under scans, without_pose and notes; run the command again"

@@ -339,6 +339,7 @@ ELSEWHERE = {
     "train circles -c a.toml -o run": "--output",
     "demo": "--output, such as --output {output}/demo",
     "report {output}/run": "--output, such as --output {output}/report.html",
+    "events distance<20 {output}/run": "--output, such as --output {output}/events.csv",
 }
 """Commands that write outside of the folder of the job, and by what."""
 

@@ -14,9 +14,10 @@ from chromium import CHROMIUM, Browser
 from commands import invoke
 
 import lidar_core as lc
+from lidar_core import sim
 from lidar_core.errors import FormatError
 from lidar_core.messages import ShownClass
-from lidar_core.viz import Moment, Objects, Playback, write_report
+from lidar_core.viz import Moment, Objects, Playback, draw_film, draw_moment, write_report
 from lidar_core.viz.report.charts import MOST_DRAWN
 from lidar_core.viz.report.scene import MOST_MOMENTS, MOST_PLACES, _thinned
 from lidar_core.viz.report.seen import first_seen
@@ -235,6 +236,19 @@ def test_nis_of_fuse_is_reported(tmp_path):
     assert cells[cells.index("NIS lidar") + 1] == f"{summary['nis']['lidar']['mean']:.2f}"
     rows = dict(zip(map(str.strip, cells), cells[1:], strict=False))
     assert rows["NEES of positions"] != "-"  # of x and y
+
+
+def test_a_run_that_kept_no_scans_and_found_nothing_has_no_picture(tmp_path):
+    scene = sim.scenes.dark_street(scans=FEW, sensor="vlp-16", drone=False)
+    sim.record(scene, tmp_path / "a.npz", seed=1, scans=FEW)
+    run = tmp_path / "run"
+    lc.runs.detect(tmp_path / "a.npz", None, run, mcap=False, picture=False)
+    page = Page(write_report(run))
+    assert "None was found." in page.texts["p"]
+    assert "Picture" not in page.texts["h2"]
+    for draw, name in ((draw_moment, "a.png"), (draw_film, "a.gif")):
+        with pytest.raises(FormatError, match=r"no objects to draw, and no scans.*\(mcap=True\)"):
+            draw(Playback(run), tmp_path / name)
 
 
 def test_a_run_without_truth_has_no_errors_and_takes_a_truth_that_is_given(circles, tmp_path):

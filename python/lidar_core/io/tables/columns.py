@@ -216,7 +216,8 @@ def _read_parquet(path: Path) -> Columns:
 
 def tables_of(folder: Path) -> list[Path]:
     """Return the tables of a folder that are read as one, such as tracks/ of a batch, by name."""
-    return sorted(one for one in folder.iterdir() if one.suffix in {".csv", ".parquet"})
+    endings = {".csv", ".parquet"}
+    return sorted(one for one in folder.iterdir() if one.suffix in endings and one.is_file())
 
 
 def read_tables(files: Sequence[Path], *, trusted: bool | None = None) -> Columns:
@@ -233,7 +234,10 @@ def read_tables(files: Sequence[Path], *, trusted: bool | None = None) -> Column
     parts = [read_columns(one, trusted=trusted) for one in files]
     for file, part in zip(files, parts, strict=True):
         if list(part) != list(parts[0]):
-            raise FormatError(f"{file}: expected the columns of {files[0].name}")
+            raise FormatError(
+                f"{file}: expected the columns of {files[0].name}, to read the folder as one table;"
+                " give one table, or a folder of like tables, such as tracks/ of a batch"
+            )
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
@@ -241,7 +245,10 @@ def _read_folder(folder: Path, *, trusted: bool | None) -> Columns:
     files = sorted(path for path in folder.iterdir() if TRACK_FILE.fullmatch(path.name))
     if files:
         return _read_trajectories(folder, files)
-    tables = [] if (folder / RUN_NOTE).is_file() else tables_of(folder)
+    tables = tables_of(folder)
+    if (folder / RUN_NOTE).is_file():
+        names = ", ".join(table.name for table in tables) or "none"
+        raise FormatError(f"{folder}: the folder of a run has several tables; give one of {names}")
     if not tables:
         raise FormatError(
             f"{folder}: expected a run folder, or one with files track_ID.txt, or with tables"

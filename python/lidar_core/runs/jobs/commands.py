@@ -25,7 +25,7 @@ UsageError = cast("type[Exception]", BadParameter.__base__)
 WRITTEN = {("export", "model")}
 """Arguments, besides those called output, that name what a command writes."""
 
-NAMES = {"report": "report.html"}
+NAMES = {"events": "events.csv", "report": "report.html"}
 """Names for what commands write; others write to what is named like the command."""
 
 

@@ -188,8 +188,10 @@ def _view_section(note: str) -> _Section:
 
 
 def _picture_section(run: Playback) -> _Section:
-    """Section with picture.png of the run, or with its last scan if there is no picture."""
+    """Section with picture.png of the run, else its last scan; empty if it kept neither."""
     path = run.folder / "picture.png"
+    if not path.is_file() and not run.times():
+        return _Section("Picture", "")
     if path.is_file():
         data = read_whole(path)
     else:

@@ -173,12 +173,16 @@ def test_a_folder_of_tables_is_one_table(runs, tmp_path):
     assert table["t_ns"].tolist() == [1, 2, 3]
     assert table["recording"].tolist() == ["yard", "yard", "street"]
     assert read_table(tmp_path)["t_ns"].tolist() == [1, 2, 3]
-    with pytest.raises(FormatError, match="tables of 2 recordings; give the table of one"):
+    with pytest.raises(FormatError, match="tracks of 2 recordings; give the table of one"):
         read_prediction(tmp_path)
+    (tmp_path / "b.csv").write_text(f"{header}\nyard,3,1,0,0,0\n")  # of another run
+    with pytest.raises(FormatError, match=r"2 tables, such as a\.csv; give one"):
+        read_prediction(tmp_path)
+    (tmp_path / "d.csv").mkdir()  # is no table
     (tmp_path / "c.csv").write_text("t_ns\n1\n")
     with pytest.raises(FormatError, match=r"c\.csv: expected the columns of a\.csv"):
         read_columns(tmp_path)
-    with pytest.raises(FormatError, match="expected a run folder, or one with files track_ID"):
+    with pytest.raises(FormatError, match=r"several tables; give one of .*tracks\.(csv|parquet)"):
         read_columns(runs / "flying")
 
 
