@@ -12,22 +12,23 @@ use crate::geometry::transform::{minus, norm};
 /// Height up to which objects count as patches of ground, if they are as low as the lowest returns
 /// [m].
 const FLAT: f64 = 0.1;
-/// Points within this distance of a small cluster may belong to the same target [m]. A cluster is
-/// alone if no points are between this distance and [`ALONE_RADIUS`].
+/// Points within this distance of the centre of a cluster may belong to the same target [m].
 const OWN_RADIUS: f64 = 0.75;
-/// Distance within which no points of other objects may be beside a small cluster [m].
+/// A cluster is alone if no points of other objects are within this distance of its centre [m].
 const ALONE_RADIUS: f64 = 2.0;
 /// Largest distance of a mirror image from the mirrored position of its object [m]. The floor is
 /// not quite flat.
 const MIRROR_ERROR: f64 = 0.75;
 
-/// True if no point is beside `place` [m], except points that may belong to the same target.
-pub(super) fn is_alone(points: &[[f32; 3]], place: [f64; 3]) -> bool {
-    let is_beside = |point: &[f32; 3]| {
-        let distance = norm(minus(wide(*point), place));
-        distance > OWN_RADIUS && distance <= ALONE_RADIUS
+/// True if no point is beside a cluster, except points that may belong to the same target.
+pub(super) fn is_alone(points: &[[f32; 3]], cluster: &Cluster<'_>) -> bool {
+    let is_beside = |(row, point): (usize, &[f32; 3])| {
+        let distance = norm(minus(wide(*point), cluster.centroid));
+        distance > OWN_RADIUS
+            && distance <= ALONE_RADIUS
+            && !cluster.members.iter().any(|&member| member as usize == row)
     };
-    !points.iter().any(is_beside)
+    !points.iter().enumerate().any(is_beside)
 }
 
 /// False if a cluster may be a part of the robot, stands on the ground or is a reflection, or if

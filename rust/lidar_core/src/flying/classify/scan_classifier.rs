@@ -328,7 +328,7 @@ impl ScanClassifier {
         Ok(self.classifications[index].class == PointClass::Unknown
             && is_small
             && may_fly(map, scan, &cluster)
-            && is_alone(points, cluster.centroid)
+            && is_alone(points, &cluster)
             && rules.is_in_free_space(&cluster)?)
     }
 

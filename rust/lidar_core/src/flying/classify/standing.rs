@@ -2,8 +2,8 @@
 //!
 //! Rule B asks for free voxels on every way out. Before the sky, the directions next to returns are not trusted, so a
 //! few voxels beside a target that hovers there are never shown to be free, and rule B finds a way out through them.
-//! Such a target would be background for ever. What stands is never reported as flying before it moves, so a few
-//! unknown voxels around it are accepted here.
+//! Such a target would be background until it has moved away. What is found here is watched with an unknown kind until
+//! it moves, so a few unknown voxels around it are accepted.
 
 use super::classifier::ClusterRules;
 use super::clusters::Cluster;
@@ -13,19 +13,19 @@ use crate::flying::map::blocks::Cursor;
 use crate::flying::scan::prepared::Prepared;
 use crate::geometry::lattice::{Voxel, floor, wide};
 
-/// Distance around the box of a thing up to which the space is examined [m].
+/// Distance around the box of a thing up to which the space is examined [m], in at least two steps.
 const AROUND: f64 = 0.75;
-/// Smallest share of free voxels there. Those that the thing itself hides do not count.
+/// Smallest share of free voxels there. Those that the thing itself hides from the sensor do not count.
 const LEAST_FREE: f64 = 0.9;
 
-/// True if nothing is around a cluster of the size of a target: no point within 2 m, no occupied voxel within 0.75 m,
-/// and nearly all space there is free.
+/// True if nothing is around a cluster of the size of a target: no other point within 2 m of its centre, no occupied
+/// voxel within 0.75 m of its box except beside its own voxels, and nearly all space there that it does not hide is free.
 pub(super) fn is_in_air(rules: &ClusterRules<'_>, scan: &Prepared, cluster: &Cluster<'_>) -> bool {
     let ClusterRules { map, points, parameters, .. } = *rules;
     if cluster.members.len() < parameters.min_points
         || rules.is_gated(cluster, cluster.diagonal())
         || !may_fly(map, scan, cluster)
-        || !is_alone(points, cluster.centroid)
+        || !is_alone(points, cluster)
     {
         return false;
     }
@@ -36,7 +36,7 @@ pub(super) fn is_in_air(rules: &ClusterRules<'_>, scan: &Prepared, cluster: &Clu
         return false;
     };
     let shadow = Shadow::of(&own, rules.origin, lattice);
-    let steps = (AROUND / lattice.voxel_size()).ceil() as i32;
+    let steps = (AROUND / lattice.voxel_size()).ceil().max(2.0) as i32;
     let (mut cursor, bound) = (Cursor::new(&map.blocks), map.uncertain_from());
     let (mut n_free, mut n_all) = (0_u32, 0_u32);
     let side = |axis: usize| low[axis].saturating_sub(steps)..=high[axis].saturating_add(steps);
@@ -55,7 +55,7 @@ pub(super) fn is_in_air(rules: &ClusterRules<'_>, scan: &Prepared, cluster: &Clu
             n_free += u32::from(is_free);
         }
     }
-    f64::from(n_free) >= LEAST_FREE * f64::from(n_all)
+    n_all > 0 && f64::from(n_free) >= LEAST_FREE * f64::from(n_all)
 }
 
 /// Smallest and largest indices of voxels. None without voxels.

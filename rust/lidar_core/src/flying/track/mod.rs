@@ -132,9 +132,14 @@ impl PointCloudTracker {
             stats.removed =
                 lifecycle::remove_uncertain(&mut tracks, &mut births, parameters, stamp_ns);
             stats.merged = self.merge(&mut tracks);
+            standing::look(&mut self.standing, &scan);
+            let (gone, followed) =
+                standing::remove_gone(&mut self.standing, &mut tracks, stamp_ns);
+            tracks.sort_by_key(|track| track.id);
+            stats.removed.extend(gone);
+            stats.merged.extend(followed);
             self.visits.rename(&stats.merged);
             (self.tracks, self.births) = (tracks, births);
-            stats.removed.extend(standing::look(&mut self.standing, &scan));
         }
         self.buffer.push(cloud);
         Ok(stats)

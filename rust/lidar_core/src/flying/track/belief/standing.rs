@@ -146,6 +146,24 @@ impl UnmovedTarget {
         !self.is_there && track.born_ns >= self.born_ns && away <= self.radius() + REACH
     }
 
+    /// Give the ID of this object, which has left its place, to the track that follows it. Returns the ID that stays
+    /// and the ID that ends.
+    fn give_to(&self, track: &mut PointTrack) -> [i64; 2] {
+        let ended = std::mem::replace(&mut track.id, self.id);
+        track.born_ns = self.born_ns;
+        // Where rays pass a thing that hangs, the map loses it, and it is detected where it has been all the time.
+        track.stood = StoodPlaces::of_object(self.position.into(), track.stood.is_beside());
+        if !self.is_away(track) && !track.has_speed() {
+            track.belief.stood_so_far();
+        }
+        [self.id, ended]
+    }
+
+    /// Whether all scans have shown for `GONE` that nothing is at its place any more.
+    fn is_gone(&self, stamp_ns: i64) -> bool {
+        self.empty_ns.is_some_and(|since| seconds(since, stamp_ns) >= GONE)
+    }
+
     /// Whether `track` is certainly away from the object's place.
     fn is_away(&self, track: &PointTrack) -> bool {
         let covariance = self.covariance + position_block(&track.estimate.covariance);
@@ -171,12 +189,8 @@ pub(in crate::flying::track) fn expected_at(
     standing.iter().filter(may_move).map(UnmovedTarget::expected)
 }
 
-/// Search for the objects in a scan and remove those that are gone. Returns the IDs of the removed
-/// objects.
-pub(in crate::flying::track) fn look(
-    standing: &mut Vec<UnmovedTarget>,
-    scan: &CloudScan<'_>,
-) -> Vec<i64> {
+/// Search for the objects in a scan.
+pub(in crate::flying::track) fn look(standing: &mut [UnmovedTarget], scan: &CloudScan<'_>) {
     for target in standing.iter_mut() {
         let holds = |point: &[f32; 3]| {
             let place = point.map(f64::from);
@@ -193,12 +207,30 @@ pub(in crate::flying::track) fn look(
         let is_empty = !target.is_there && scan.visibility.is_some_and(expected);
         target.empty_ns = is_empty.then(|| target.empty_ns.unwrap_or(scan.stamp_ns));
     }
-    let is_gone = |target: &UnmovedTarget| {
-        target.empty_ns.is_some_and(|since| seconds(since, scan.stamp_ns) >= GONE)
-    };
-    let gone = standing.iter().filter(|target| is_gone(target)).map(|target| target.id).collect();
-    standing.retain(|target| !is_gone(target));
-    gone
+}
+
+/// Remove the objects that are gone at `stamp_ns`, and give their IDs to the confirmed tracks that follow them. An
+/// object waits for a track that may follow it and is not confirmed yet. Returns the IDs of objects that no track
+/// follows, and pairs of the ID that stays and the ID that ends.
+pub(in crate::flying::track) fn remove_gone(
+    standing: &mut Vec<UnmovedTarget>,
+    tracks: &mut [PointTrack],
+    stamp_ns: i64,
+) -> (Vec<i64>, Vec<[i64; 2]>) {
+    let (mut removed, mut merged) = (Vec::new(), Vec::new());
+    standing.retain(|target| {
+        if !target.is_gone(stamp_ns) {
+            return true;
+        }
+        let follower = tracks.iter_mut().filter(|track| target.is_now(track));
+        match follower.max_by_key(|track| track.confirmed) {
+            Some(track) if track.confirmed => merged.push(target.give_to(track)),
+            Some(_) => return true,
+            None => removed.push(target.id),
+        }
+        false
+    });
+    (removed, merged)
 }
 
 /// Confirm the tracks that follow an object which has certainly left its place, if their
@@ -231,15 +263,8 @@ pub(in crate::flying::track) fn hand_over(
     for number in confirmed.iter_mut() {
         let Some(track) = tracks.iter_mut().find(|track| track.id == *number) else { continue };
         let Some(place) = standing.iter().position(|target| target.is_now(track)) else { continue };
-        let target = standing.remove(place);
-        merged.push([target.id, track.id]);
-        (track.id, *number) = (target.id, target.id);
-        track.born_ns = target.born_ns;
-        // Where rays pass a thing that hangs, the map loses it, and it is detected where it has been all the time.
-        track.stood = StoodPlaces::of_object(target.position.into());
-        if !target.is_away(track) && !track.has_speed() {
-            track.belief.stood_so_far();
-        }
+        merged.push(standing.remove(place).give_to(track));
+        *number = track.id;
     }
     merged
 }

@@ -160,9 +160,9 @@ pub(in crate::flying::track) struct StoodPlaces {
 }
 
 impl StoodPlaces {
-    /// The place of an object that stood at `place` [m] all the time.
-    pub(in crate::flying::track) fn of_object(place: [f64; 3]) -> Self {
-        Self { steps: 1, is_beside: false, cells: vec![(cell_of(place), 1)] }
+    /// The place of an object that stood at `place` [m] all the time; `is_beside`: something else stood beside it.
+    pub(in crate::flying::track) fn of_object(place: [f64; 3], is_beside: bool) -> Self {
+        Self { steps: 1, is_beside, cells: vec![(cell_of(place), 1)] }
     }
 
     /// Whether enough was observed before the track began.
