@@ -19,11 +19,12 @@ PIP_INSTALL := -m pip install --quiet --disable-pip-version-check
 # Install into the environment $(1).
 install = $(if $(UV),$(UV) pip install --quiet --python $(1)/bin/python,$(1)/bin/python $(PIP_INSTALL))
 BIN := $(VENV)/bin
+OWN_CRATES := -p lidar_core -p lidar_sim -p lidar_core_py
 
 export CARGO_TARGET_DIR ?= $(CURDIR)/target
 export LIDAR_CORE_OUSTER_PYTHON ?= $(CURDIR)/$(OUSTER_VENV)/bin/python
 
-.PHONY: help demo dev fmt lint lint-rust lint-python test test-env test-training bench peers figures docs golden hostile corrupt fuzz kills signals flight soak deadline memory nightly coverage wheel ci clean
+.PHONY: help demo dev fmt lint lint-rust lint-python test test-env test-rust test-training bench peers figures docs golden hostile corrupt fuzz kills signals flight soak deadline memory nightly coverage wheel ci clean
 .DEFAULT_GOAL := help
 
 help: ## Show this list.
@@ -57,10 +58,14 @@ lint-python: ## Only ruff, mypy and stubtest.
 	$(BIN)/mypy
 	$(BIN)/python -m mypy.stubtest lidar_core._core
 
-test: test-env ## Install what the tests need and run them all, on a wheel.
-	cargo test --locked
+test: test-env test-rust ## Install what the tests need and run them all, on a wheel.
 	$(TEST_VENV)/bin/pytest -n 4 --dist loadfile
 	$(TEST_VENV)/bin/pytest --doctest-modules --pyargs lidar_core
+
+# With the profile and the crate of the wheel, which decides on features of shared crates: the tests
+# link the crates that were built for the wheel. RUN=--no-run builds them.
+test-rust: ## Only the tests in Rust.
+	cargo test --locked --release $(OWN_CRATES) $(RUN)
 
 nightly: test-env ## Long versions of tests, and statistics, that `make test` leaves out.
 	$(TEST_VENV)/bin/pytest -n 2 --dist loadfile -m nightly
@@ -189,7 +194,6 @@ golden: ## Write the golden files again, after an intended change.
 # Files of a source distribution all carry one old time, so that cargo takes what it built of them
 # before for fresh: it is removed first. On Linux zig links against an old glibc, so that the wheel
 # runs on robots with old systems, too; maturin checks that it does.
-OWN_CRATES := -p lidar_core -p lidar_sim -p lidar_core_py
 ifeq ($(shell uname -s),Linux)
 wheel: export MATURIN_PEP517_ARGS := --zig --compatibility manylinux_2_28
 endif

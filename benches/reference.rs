@@ -224,8 +224,8 @@ fn root(parent: &mut [u32], mut index: u32) -> u32 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::street;
     use super::*;
-    use crate::street;
     use lidar_core::Error;
     use lidar_core::flying::integrate::integrator::Integrator;
     use lidar_core::flying::map::parameters::MapParameters;

@@ -133,8 +133,7 @@ impl PointCloudTracker {
                 lifecycle::remove_uncertain(&mut tracks, &mut births, parameters, stamp_ns);
             stats.merged = self.merge(&mut tracks);
             standing::look(&mut self.standing, &scan);
-            let (gone, followed) =
-                standing::remove_gone(&mut self.standing, &mut tracks, stamp_ns);
+            let (gone, followed) = standing::remove_gone(&mut self.standing, &mut tracks, stamp_ns);
             tracks.sort_by_key(|track| track.id);
             stats.removed.extend(gone);
             stats.merged.extend(followed);
