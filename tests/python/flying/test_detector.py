@@ -243,6 +243,7 @@ def test_a_point_or_two_in_free_space_confirm_what_moves(counts, speed, others, 
     assert len(frame.tracks) == tracks
 
 
+@pytest.mark.ci_cases("1")
 @pytest.mark.parametrize("min_confident", [1, 2])
 def test_removal_from_the_first_scan_does_what_the_specification_says(min_confident):
     config = small(FlyingConfig.paper())

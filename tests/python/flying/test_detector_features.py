@@ -589,7 +589,7 @@ def test_a_hovering_target_approached_head_on_is_found_in_best_mode_only():
     assert (approach(as_published) > 7.0).sum() == 0
 
 
-@pytest.mark.ci_cases("1", "3")
+@pytest.mark.ci_cases("1")
 @pytest.mark.parametrize("seed", range(4))
 def test_what_is_first_seen_on_an_approach_is_no_flyer(seed):
     """Walls, poles and trees beyond the range of the map while the background is made."""

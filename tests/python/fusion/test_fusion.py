@@ -174,6 +174,7 @@ def test_range_rates_are_believed_no_more_than_asked_for():
 # Oracle
 
 
+@pytest.mark.ci_cases("cv", "ca", "ct", "ctrv")
 @pytest.mark.parametrize("model", ["cv", "ca", "ct", "ctrv", "ctra"])
 def test_every_model_agrees_with_the_oracle(model):
     seen, _ = walk(np.random.default_rng(3), rows=60)
@@ -195,6 +196,7 @@ def test_every_model_agrees_with_the_oracle(model):
         assert result.nis[k] == pytest.approx(nis, abs=ORACLE)
 
 
+@pytest.mark.ci_cases("cv", "ctrv")
 @pytest.mark.parametrize("model", ["cv", "ctrv", "ctra"])
 def test_smoothing_agrees_with_the_oracle(model):
     seen, _ = walk(np.random.default_rng(20), rows=60)
@@ -419,6 +421,7 @@ def looked_at(rng, rows):
         yield k, told, sensor, z + rng.normal(size=len(z)) * noise[sensor]
 
 
+@pytest.mark.ci_cases("False-cv", "True-ctrv")
 @pytest.mark.parametrize("model", ["cv", "ctrv"])
 @pytest.mark.parametrize("by_option", [False, True])
 def test_poses_with_covariances_agree_with_the_oracle(model, by_option):

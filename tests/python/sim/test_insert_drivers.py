@@ -110,16 +110,19 @@ def test_what_is_put_back_has_as_many_returns_as_what_was_taken_out(preset, shap
     check(preset, shape, flight)
 
 
+@pytest.mark.ci_cases("livox-avia")
 @pytest.mark.parametrize("preset", ["livox-avia", "livox-hap"])
 def test_the_same_of_sensors_that_look_ahead(preset):
     check(preset, "hexacopter", "front" if preset == "livox-avia" else "house")
 
 
+@pytest.mark.ci_cases("vlp-16")
 @pytest.mark.parametrize("preset", ["vlp-16", "livox-mid360"])
 def test_the_same_of_clouds_without_their_motion(preset):
     check(preset, "hexacopter", "sky", deskewed=True)
 
 
+@pytest.mark.ci_cases("livox-mid360")
 @pytest.mark.parametrize("preset", ["livox-mid360", "livox-avia"])
 def test_the_same_of_rosettes_whose_driver_drops_rows(preset):
     flight = "sky" if preset == "livox-mid360" else "front"
@@ -170,6 +173,7 @@ def outdoor(recordings, tmp_path_factory):
     return scans
 
 
+@pytest.mark.ci_cases("middle", "near")
 @pytest.mark.parametrize("name", ISOLATED)
 def test_a_real_thing_that_is_put_back_has_as_many_returns(name, outdoor):
     """Its shape is what scans 10 to 29 show of it; it is taken out of scans 0 to 9."""

@@ -77,6 +77,7 @@ def agrees(tracker, oracle, stamp):
         np.testing.assert_allclose(tracks.covariances[row], reported_covariance(track), atol=ORACLE)
 
 
+@pytest.mark.ci_cases("1.5")
 @pytest.mark.parametrize("birth_distance", [0.0, 1.5])
 @given(seed=st.integers(8000, 8499))
 def test_the_tracker_agrees_with_the_oracle(birth_distance, seed):
@@ -189,6 +190,7 @@ def test_what_exists_with_a_probability_does_so_as_often(name):
     assert some.brier <= 0.5
 
 
+@pytest.mark.nightly
 def test_calibration_errors_see_probabilities_that_are_too_sure():
     """The tests above would fail for odds four times as large or as small."""
     some = crowds("as it is")
