@@ -426,6 +426,47 @@ fn what_has_left_its_place_is_a_target_at_once_and_what_is_there_is_not() -> Res
     Ok(())
 }
 
+#[test]
+fn a_track_that_was_known_before_keeps_the_number_of_what_the_map_lost() -> Result<(), Error> {
+    let mut tracker = PointCloudTracker::new(TrackerParameters::default(), 1)?;
+    let small = [[[4e-4, 0.0, 0.0], [0.0, 4e-4, 0.0], [0.0, 0.0, 4e-4]]];
+    let at = |stamp_ns, positions| Detections {
+        stamp_ns,
+        positions,
+        covariance: Some(&small),
+        extent: Some(&[[0.4; 3]]),
+        confidence: Some(&[0.9]),
+        ..Detections::default()
+    };
+    let (place, beside) = ([[5.0, 0.0, 0.0]], [[5.4, 0.0, 0.0]]);
+    tracker.watch(&at(0, &place));
+    let wall: Vec<[f32; 3]> = (-20..20).map(|step| [9.0, 0.02 * step as f32, 0.0]).collect();
+    let (mut removed, mut merged) = (Vec::new(), Vec::new());
+    for step in 1..=9 {
+        let is_lost = step > 4; // all rays pass its place from then on
+        let own = [[5.0, 0.0, 0.0], [5.4, 0.0, 0.0]];
+        let points: Vec<_> =
+            wall.iter().copied().chain(own[usize::from(is_lost)..].to_vec()).collect();
+        let held = OccupiedPoints::new(if is_lost { &NOTHING[..] } else { &own[..1] }, 0.1);
+        let view = CloudView { points: &wall, origin: [0.0; 3] };
+        let stamp_ns = step * STEP_NS;
+        let stats = tracker.new_point_cloud(&points, None, &held, Some(&view), stamp_ns)?;
+        removed.extend(stats.removed);
+        merged.extend(stats.merged);
+        let stats = tracker.new_detections(&at(stamp_ns, &beside), &free())?;
+        let is_confirmed = |track: &&Track| track.confirmed;
+        let tracks = tracker.tracks_at(stamp_ns);
+        if step == 4 {
+            assert_eq!(tracks.iter().filter(is_confirmed).count(), 2, "the object and the track");
+            assert!(stats.merged.is_empty());
+        }
+    }
+    assert_eq!((removed, merged), (vec![], vec![[0, 1]]));
+    let tracks = tracker.tracks_at(9 * STEP_NS);
+    assert_eq!(tracks.iter().map(|track| track.id).collect::<Vec<_>>(), [0]);
+    Ok(())
+}
+
 /// IDs and probabilities of existence of the tracks of a target of 30 m/s that flies `step` [m] from scan to scan. The
 /// rays of a scan meet it `delay` [s] after the stamp of the scan.
 fn passer(delay: f64, scans: i64, step: f64) -> Result<Vec<(i64, f64)>, Error> {
