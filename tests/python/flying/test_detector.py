@@ -128,7 +128,7 @@ CONFIGS = {"best": FlyingConfig(), "paper": FlyingConfig.paper()}
 def test_the_detector_does_what_the_specification_says(mode, stream):
     config = small(CONFIGS[mode])
     met = {"detections": 0, "tracks": 0, "expected": 0, "classes": set()}
-    for seed in range(3):
+    for seed in range(2):
         detector, specification = FlyingObjectDetector(config), Specification(config)
         for scan in random_world(seed + 10 * stream, stream=stream):
             frame = detector.process(
