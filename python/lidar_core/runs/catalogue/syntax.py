@@ -90,7 +90,14 @@ class _Named(ast.NodeTransformer):
 
     def visit_Attribute(self, node: ast.Attribute) -> ast.expr:
         value, end = self.visit(node.value), self._names.get(node.attr, node.attr)
-        return ast.Name(f"{value.id}.{end}") if isinstance(value, ast.Name) else node
+        return (
+            ast.Name(f"{value.id}.{end}")
+            if isinstance(value, ast.Name)
+            else ast.Attribute(value, end)
+        )
+
+    def visit_keyword(self, node: ast.keyword) -> ast.keyword:
+        return ast.keyword(self._names.get(node.arg or "", node.arg), self.visit(node.value))
 
 
 class _Ticked(ast.NodeTransformer):

@@ -298,6 +298,8 @@ def test_columns_of_any_name_stand_between_backticks(query, rows):
         ("`class` == a", "no column a; texts need quotes: `class` == 'a'"),
         ("`class` < 3", "query: '`class` < 3' compares a text with a number"),
         ("`ms per scan`.real() > 3", r"cannot use '`ms per scan\.real`\(\)'"),
+        ("f().`ms per scan` > 3", r"cannot use 'f\(\)\.ms per scan'"),
+        ("f(`ms per scan`=`class`) > 3", r"cannot use 'f\(ms per scan=`class`\)'"),
         ("distance is (" + "-" * 900 + "1)", "cannot "),
     ],
 )
