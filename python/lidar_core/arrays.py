@@ -107,6 +107,7 @@ def as_poses(matrices: ArrayLike, *, name: str = "world_from_lidar") -> NDArray[
         rotation = pose[:3, :3]
         if not (
             np.isfinite(pose).all()
+            and (np.abs(rotation) < 2).all()  # the product of larger ones may overflow
             and np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4)
             and np.linalg.det(rotation) > 0
             and np.array_equal(pose[3], [0, 0, 0, 1])

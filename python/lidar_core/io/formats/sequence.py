@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.errors import FormatError
+from lidar_core.arrays import as_pose
+from lidar_core.errors import FormatError, InputError
 from lidar_core.io.files.guard import check_size, reading
 from lidar_core.io.hints import recovering
 from lidar_core.io.messages.cloud import CloudDecoder
@@ -228,5 +229,8 @@ def _calibration(file: Path) -> NDArray[np.float64] | None:
         if key.strip() in ("Tr", "Tr_velo_to_cam", "Tr_velo_cam"):
             with reading(str(file)):
                 top = np.array(rest.split(), np.float64).reshape(3, 4)
-            return np.vstack([top, [0, 0, 0, 1]])
+            try:
+                return as_pose(np.vstack([top, [0, 0, 0, 1]]), name="camera_from_lidar")
+            except InputError as error:
+                raise FormatError(f"{file}, line {key.strip()}: {error}") from error
     raise FormatError(f"{file}: no line Tr, which places the LiDAR in the camera's frame")

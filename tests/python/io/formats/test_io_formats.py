@@ -784,6 +784,17 @@ def test_kitti_folder_with_calibration(tmp_path):
         np.testing.assert_allclose(item.world_from_lidar, expected, atol=1e-12)
 
 
+@pytest.mark.parametrize("row", ["0 0 0 0", "2 0 0 0", "nan 0 0 0", "1e200 0 0 0"])
+def test_a_calibration_that_is_no_rotation_is_refused(tmp_path, row):
+    folder = kitti_folder(tmp_path, calibrated=True)
+    (folder / "calib.txt").write_text(f"Tr: 1 0 0 0 {row} 0 0 1 0\n")
+    with (
+        pytest.raises(FormatError, match=r"calib\.txt, line Tr: camera_from_lidar: expected a"),
+        lc.io.open_recording(folder),
+    ):
+        pass
+
+
 def test_kitti_without_calibration_takes_the_poses_as_they_are(tmp_path):
     with lc.io.open_recording(kitti_folder(tmp_path, calibrated=False)) as recording:
         posed = list(lc.io.posed_scans(recording))
