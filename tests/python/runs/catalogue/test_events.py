@@ -300,7 +300,7 @@ def test_columns_of_any_name_stand_between_backticks(query, rows):
         ("`ms per scan`.real() > 3", r"cannot use '`ms per scan\.real`\(\)'"),
         ("f().`ms per scan` > 3", r"cannot use 'f\(\)\.ms per scan'"),
         ("f(`ms per scan`=`class`) > 3", r"cannot use 'f\(ms per scan=`class`\)'"),
-        ("distance is (" + "-" * 900 + "1)", "cannot "),
+        ("distance is (" + "-" * 900 + "1)", "cannot |expected one of"),  # as deep as the stack is
     ],
 )
 def test_names_between_backticks_are_told_as_they_are_written(query, text):
