@@ -395,25 +395,28 @@ fn what_stands_is_unknown_and_then_static_and_gone_once_it_has_left() -> Result<
     Ok(())
 }
 
+/// One detection of a small target, right to 2 cm.
+fn small_at(stamp_ns: i64, positions: &[[f64; 3]; 1]) -> Detections<'_> {
+    Detections {
+        stamp_ns,
+        positions,
+        covariance: Some(&[[[4e-4, 0.0, 0.0], [0.0, 4e-4, 0.0], [0.0, 0.0, 4e-4]]]),
+        extent: Some(&[[0.4; 3]]),
+        confidence: Some(&[0.9]),
+        ..Detections::default()
+    }
+}
+
 /// IDs of the confirmed tracks after one detection `away` [m] from an object that stood. `is_held`: whether the map
 /// still holds the object.
 fn after_standing(away: f64, is_held: bool) -> Result<Vec<i64>, Error> {
     let mut tracker = PointCloudTracker::new(TrackerParameters::default(), 1)?;
-    let small = [[[4e-4, 0.0, 0.0], [0.0, 4e-4, 0.0], [0.0, 0.0, 4e-4]]];
-    let at = |stamp_ns, positions| Detections {
-        stamp_ns,
-        positions,
-        covariance: Some(&small),
-        extent: Some(&[[0.4; 3]]),
-        confidence: Some(&[0.9]),
-        ..Detections::default()
-    };
     let (place, other) = ([[5.0, 0.0, 0.0]], [[5.0 + away, 0.0, 0.0]]);
-    tracker.watch(&at(0, &place));
+    tracker.watch(&small_at(0, &place));
     let point = [5.0 + away as f32, 0.0, 0.0];
     let held = OccupiedPoints::new(if is_held { &[[5.0, 0.0, 0.0]] } else { &NOTHING[..] }, 1.0);
     tracker.new_point_cloud(&[point], None, &held, None, STEP_NS)?;
-    let stats = tracker.new_detections(&at(STEP_NS, &other), &free())?;
+    let stats = tracker.new_detections(&small_at(STEP_NS, &other), &free())?;
     Ok(stats.confirmed)
 }
 
@@ -429,17 +432,8 @@ fn what_has_left_its_place_is_a_target_at_once_and_what_is_there_is_not() -> Res
 #[test]
 fn a_track_that_was_known_before_keeps_the_number_of_what_the_map_lost() -> Result<(), Error> {
     let mut tracker = PointCloudTracker::new(TrackerParameters::default(), 1)?;
-    let small = [[[4e-4, 0.0, 0.0], [0.0, 4e-4, 0.0], [0.0, 0.0, 4e-4]]];
-    let at = |stamp_ns, positions| Detections {
-        stamp_ns,
-        positions,
-        covariance: Some(&small),
-        extent: Some(&[[0.4; 3]]),
-        confidence: Some(&[0.9]),
-        ..Detections::default()
-    };
     let (place, beside) = ([[5.0, 0.0, 0.0]], [[5.4, 0.0, 0.0]]);
-    tracker.watch(&at(0, &place));
+    tracker.watch(&small_at(0, &place));
     let wall: Vec<[f32; 3]> = (-20..20).map(|step| [9.0, 0.02 * step as f32, 0.0]).collect();
     let (mut removed, mut merged) = (Vec::new(), Vec::new());
     for step in 1..=9 {
@@ -453,7 +447,7 @@ fn a_track_that_was_known_before_keeps_the_number_of_what_the_map_lost() -> Resu
         let stats = tracker.new_point_cloud(&points, None, &held, Some(&view), stamp_ns)?;
         removed.extend(stats.removed);
         merged.extend(stats.merged);
-        let stats = tracker.new_detections(&at(stamp_ns, &beside), &free())?;
+        let stats = tracker.new_detections(&small_at(stamp_ns, &beside), &free())?;
         let is_confirmed = |track: &&Track| track.confirmed;
         let tracks = tracker.tracks_at(stamp_ns);
         if step == 4 {
