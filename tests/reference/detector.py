@@ -281,15 +281,12 @@ class Detector:
         """Sec. III-D: at once, or as soon as there is something to be separate from."""
         options = self.c.separate
         reach = options.max_gap / self.map.config.voxel_size
-        enough = [
-            sum(map(self.map.is_confident, group)) >= options.min_confident
-            for group in separate.groups(self.map.occupied(), reach)
-        ]
-        self.has_background = any(enough)
+        found = separate.groups(self.map.occupied(), reach)
+        self.has_background = any(
+            separate.has_enough(self.map, group, options.min_confident) for group in found
+        )
         if self.has_background or not options.waits_for_background:
-            separate.remove_separate(
-                self.map, max_gap=options.max_gap, min_confident=options.min_confident
-            )
+            separate.remove_groups(self.map, found, options.min_confident)
 
     def track(
         self, cloud, followed, labels, verdicts, places, origin, delays, found, stamp

@@ -50,6 +50,7 @@ class VoxelMap:
 
     def __init__(self, config: VoxelMapConfig) -> None:
         self.config = config
+        self.initial = np.float32(config.initial)
         self.values: dict[Voxel, np.float32] = {}
 
     def voxel_at(self, point) -> Voxel:
@@ -63,7 +64,7 @@ class VoxelMap:
         return all(a <= index <= b for a, index, b in zip(low, voxel, high, strict=True))
 
     def value(self, voxel: Voxel) -> np.float32:
-        return self.values.get(voxel, np.float32(self.config.initial))
+        return self.values.get(voxel, self.initial)
 
     def values_at(self, points) -> np.ndarray:
         return np.array([self.value(self.voxel_at(point)) for point in points], np.float32)
@@ -83,7 +84,8 @@ class VoxelMap:
         return self.value(voxel) >= np.float32(self.config.threshold_confident)
 
     def occupied(self) -> list[Voxel]:
-        return sorted(voxel for voxel in self.values if self.is_tentative(voxel))
+        least = np.float32(self.config.threshold_tentative)
+        return sorted(voxel for voxel, value in self.values.items() if value >= least)
 
     def set_all(self, points, value: float) -> None:
         for voxel in map(self.voxel_at, points):

@@ -42,17 +42,18 @@ def random_world(seed, *, scans=10, stream=False):
     speeds = rng.uniform(-0.6, 0.6, (2, 3))
     wall_x = start[0] + rng.uniform(3.0, 4.0)
 
-    def pose(seconds):
-        at = np.eye(4)
-        angles = [heading + turn * seconds, 0.1 * turn, 0.05]
-        at[:3, :3] = Rotation.from_euler("ZYX", angles).as_matrix()
-        at[:3, 3] = start + velocity * seconds
+    def poses_at(seconds):
+        at = np.tile(np.eye(4), (len(seconds), 1, 1))
+        angles = np.full((len(seconds), 3), [heading, 0.1 * turn, 0.05])
+        angles[:, 0] += turn * seconds
+        at[:, :3, :3] = Rotation.from_euler("ZYX", angles).as_matrix()
+        at[:, :3, 3] = start + velocity * seconds[:, None]
         return at
 
     for k in range(scans):
         stamp = 1_000 + k * STEP_NS
         seconds = k * 0.1 + (times * 1e-9 if stream else np.zeros(len(body)))
-        poses = np.array([pose(t) for t in seconds])
+        poses = poses_at(seconds)
         rays = np.einsum("nij,nj->ni", poses[:, :3, :3], body)
         places = poses[:, :3, 3]
         hits = [
@@ -71,7 +72,7 @@ def random_world(seed, *, scans=10, stream=False):
         points[rng.random(len(body)) < 0.01] = np.nan
         yield {
             "points": points,
-            "poses": np.array([pose(k * 0.1), pose(k * 0.1 + 0.1)]) if stream else pose(k * 0.1),
+            "poses": poses_at(k * 0.1 + np.array([0.0, 0.1])) if stream else poses[0],
             "stamp": stamp,
             "no_return": no_return,
             "directions": body.astype(np.float32),
@@ -122,33 +123,33 @@ def small(config):
 CONFIGS = {"best": FlyingConfig(), "paper": FlyingConfig.paper()}
 
 
-@pytest.mark.ci_cases("best-True", "paper-False")
+@pytest.mark.ci_cases("best-True-1", "paper-False-1")
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("stream", [False, True])
 @pytest.mark.parametrize("mode", CONFIGS)
-def test_the_detector_does_what_the_specification_says(mode, stream):
+def test_the_detector_does_what_the_specification_says(mode, stream, seed):
     config = small(CONFIGS[mode])
     met = {"detections": 0, "tracks": 0, "expected": 0, "classes": set()}
-    for seed in range(2):
-        detector, specification = FlyingObjectDetector(config), Specification(config)
-        for scan in random_world(seed + 10 * stream, stream=stream):
-            frame = detector.process(
-                scan["points"],
-                scan["poses"],
-                scan["stamp"],
-                no_return=scan["no_return"],
-                directions=scan["directions"],
-                point_time_ns=scan["times"],
-                pose_stamps_ns=scan["pose_stamps"],
-            )
-            expected = specification.process(**scan)
-            same(frame, expected)
-            met["detections"] += len(frame.detections)
-            met["tracks"] += len(frame.tracks)
-            met["expected"] += len(specification.expected)
-            met["classes"] |= set(frame.point_class.tolist())
-    assert met["detections"] > 6
-    assert met["tracks"] > 3
-    if mode == "best" and not stream:  # targets that only tracks tell from structure beside them
+    detector, specification = FlyingObjectDetector(config), Specification(config)
+    for scan in random_world(seed + 10 * stream, stream=stream):
+        frame = detector.process(
+            scan["points"],
+            scan["poses"],
+            scan["stamp"],
+            no_return=scan["no_return"],
+            directions=scan["directions"],
+            point_time_ns=scan["times"],
+            pose_stamps_ns=scan["pose_stamps"],
+        )
+        expected = specification.process(**scan)
+        same(frame, expected)
+        met["detections"] += len(frame.detections)
+        met["tracks"] += len(frame.tracks)
+        met["expected"] += len(specification.expected)
+        met["classes"] |= set(frame.point_class.tolist())
+    assert met["detections"] > 5
+    assert met["tracks"] > 4
+    if (mode, stream, seed) == ("best", False, 1):  # only tracks tell them from structure
         assert met["expected"] > 0
     assert met["classes"] - {MOVING} == {0, BACKGROUND, FLYING, UNKNOWN}
 
