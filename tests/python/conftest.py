@@ -8,6 +8,10 @@ import pytest
 from hypothesis import HealthCheck, settings
 from repository import RECORDINGS, ROOT
 
+# Of numpy, which is imported later, and of child processes. The workers of pytest share the cores,
+# and threads that wait for one another there take processor time.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 # The same examples on every run; `make nightly` looks at 200, `HYPOTHESIS_PROFILE=wide` at 5,000.
 settings.register_profile(
     "ci",
