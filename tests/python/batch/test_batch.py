@@ -470,7 +470,7 @@ def test_files_of_others_are_left_alone(batch):
 def test_ctrl_c_leaves_whole_files_and_the_same_command_goes_on(batch):
     batch.write_text(
         batch.read_text()
-        .replace("1002", "1008")
+        .replace("1002", "1004")
         .replace("--seed {seed}", "--seed {seed} --scans 40")
     )
     folder = batch.parent / "out"
@@ -486,9 +486,9 @@ def test_ctrl_c_leaves_whole_files_and_the_same_command_goes_on(batch):
     assert process.returncode == 130, output
     assert "interrupted: run the same command to resume" in output
     done = [name for name, one in records(folder).items() if one["status"] == "done"]
-    assert 1 <= len(done) < 8
+    assert 1 <= len(done) < 4
     assert set(read_columns(next(folder.glob("results.*")))["job"]) >= set(done)
     before = {name: (folder / name / "made.npz").stat().st_mtime_ns for name in done}
     assert run_batch(batch).exit_code == 1
     assert {name: (folder / name / "made.npz").stat().st_mtime_ns for name in done} == before
-    assert sum(one["status"] == "done" for one in records(folder).values()) == 8
+    assert sum(one["status"] == "done" for one in records(folder).values()) == 4

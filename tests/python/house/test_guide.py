@@ -5,11 +5,13 @@ import shlex
 import shutil
 import subprocess
 import sys
+from contextlib import chdir
 from pathlib import Path
 
 import numpy as np
 import pytest
 import typer
+from commands import invoke
 from repository import ROOT
 
 import lidar_core as lc
@@ -82,10 +84,16 @@ def files(tmp_path_factory):
     """Files that pages speak of: recordings of a flight and of a robot, and a run."""
     folder = tmp_path_factory.mktemp("guide")
     (folder / "hall.toml").write_text(HALL)
-    run_command(["simulate", "demo", "-o", "flight.mcap", "--scans", "12"], folder)
-    run_command(["convert", "flight.mcap", "flight.bag"], folder)
-    run_command(["simulate", "hall.toml", "-o", "robot.bag"], folder)
-    run_command(["detect", "flight.mcap", "-o", "run/", "--no-picture"], folder)
+    few = ["--sensor", "os1-32", "--scans", "12"]
+    with chdir(folder):
+        for command in (
+            ["simulate", "demo", "-o", "flight.mcap", *few],
+            ["convert", "flight.mcap", "flight.bag"],
+            ["simulate", "hall.toml", "-o", "robot.bag"],
+            ["detect", "flight.mcap", "-o", "run/", "--no-picture"],
+        ):
+            done = invoke(*command)
+            assert done.exit_code == 0, f"{command}: {done.output or done.exception}"
     poses = (f"{0.1 * number} {0.3 * number} 0 3 0 0 0 1\n" for number in range(20))
     (folder / "poses.txt").write_text("".join(poses))
     return folder

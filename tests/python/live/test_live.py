@@ -478,7 +478,8 @@ def test_objects_become_detections_and_odometry():
 @pytest.fixture(scope="module")
 def street(tmp_path_factory):
     path = tmp_path_factory.mktemp("live") / "street.npz"
-    done = CliRunner().invoke(app, ["simulate", "demo", "-o", str(path), "--scans", "12"])
+    few = ["--sensor", "os1-32", "--scans", "12"]
+    done = CliRunner().invoke(app, ["simulate", "demo", "-o", str(path), *few])
     assert done.exit_code == 0, done.output
     return path
 

@@ -39,7 +39,8 @@ def cloud(number):
 def flight(tmp_path_factory):
     """A short flight with drones and its poses."""
     path = tmp_path_factory.mktemp("flight") / "a.npz"
-    arguments = ["simulate", "demo", "-o", str(path), "--scans", str(SCANS)]
+    few = ["--sensor", "os1-32", "--scans", str(SCANS)]
+    arguments = ["simulate", "demo", "-o", str(path), *few]
     assert CliRunner().invoke(app, arguments).exit_code == 0
     return path
 

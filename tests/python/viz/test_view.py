@@ -39,6 +39,7 @@ from lidar_core.viz.playback import Moment
 from lidar_core.viz.rerun_log import RerunLog
 
 SCANS = 15
+FEWER_RAYS = {"demo": ["--sensor", "os1-32"], "circles": []}
 needs_rerun = pytest.mark.skipif(
     find_spec("rerun") is None and not os.environ.get("CI"), reason="rerun-sdk is not installed"
 )
@@ -46,7 +47,8 @@ needs_rerun = pytest.mark.skipif(
 
 def run_of(folder, scene, command):
     source, output = folder / f"{command}.npz", folder / command
-    assert invoke("simulate", scene, "-o", source, "--scans", SCANS).exit_code == 0
+    few = [*FEWER_RAYS[scene], "--scans", SCANS]
+    assert invoke("simulate", scene, "-o", source, *few).exit_code == 0
     done = invoke(command, source, "-o", output)
     assert done.exit_code == 0, done.output
     return output

@@ -32,7 +32,9 @@ def made(*arguments):
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs")
-    made("demo", "-o", folder / "flying", "--scans", 30, "--no-picture")
+    few = ("--sensor", "os1-32", "--scans", 30)
+    made("simulate", "demo", "-o", folder / "street.npz", *few)
+    made("detect", folder / "street.npz", "-o", folder / "flying", "--no-picture", "--no-mcap")
     made("simulate", "circles", "-o", folder / "a.npz", "--scans", 20)
     made("circles", folder / "a.npz", "-o", folder / "circles", "--no-picture")
     made("simulate", "overflight", "-o", folder / "b.csv", "--scans", 50)
