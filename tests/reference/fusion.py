@@ -1,6 +1,11 @@
 """Oracle of the fusion filters: the same equations, one measurement at a time, in plain numpy."""
 
+from functools import cache
+
 import numpy as np
+
+gauss = cache(np.polynomial.legendre.leggauss)
+"""Nodes and weights of the rule of Gauss."""
 
 
 def wrap(angle):
@@ -9,7 +14,7 @@ def wrap(angle):
 
 def integrals(theta, w, dt, k):
     """Integrals of t^k cos(theta + w t) and t^k sin(theta + w t), by the rule of Gauss."""
-    nodes, weights = np.polynomial.legendre.leggauss(24)
+    nodes, weights = gauss(24)
     t = dt * (nodes + 1) / 2
     weights = weights * dt / 2
     angle = theta + w * t
@@ -87,7 +92,7 @@ def jacobian(f, s):
 
 def continuous_noise(model, s, dt, strengths):
     f = MODELS[model]
-    nodes, weights = np.polynomial.legendre.leggauss(3)
+    nodes, weights = gauss(3)
     total = np.zeros((len(s), len(s)))
     for node, weight in zip(nodes, weights, strict=True):
         t = dt * (node + 1) / 2

@@ -9,6 +9,7 @@ WANDERS, SPEEDS, SLOWEST, RESTS = 0.05, (1.0, 0.3, 0.1, 0.03), 0.1, 0.3
 CHANGES, STANDS, KEEPS, MOST = 10.0, 300.0, 30.0, 3.0
 CLIMBS, LEVEL, SLOPES, CRUISES, FEWEST_OF_CLIMB, MOST_OF_CLIMB = 1.0, 0.1, 0.1, 0.5, 6, 5.0
 LEAST, FEWEST = 1e-6, 6
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(40)
 BEGINS = np.array([RESTS, *[(1 - RESTS) / len(SPEEDS)] * len(SPEEDS)])
 """Shares of the motions of what moves."""
 
@@ -78,15 +79,15 @@ class Motions:
         moves_on = [1 - ends, *[(1 - changes) * (1 - ends)] * 5]
         from_moving = [ends, *(changes * (1 - ends) * BEGINS)]
         from_standing = [0.0, *(ends * BEGINS)]
-        before = self.states
+        before, places = self.states, []
+        for axis in (0, 1):
+            movers = [(p, *one[axis]) for p, one in zip(moves, before[1:], strict=True)]
+            ways = united(movers), before[0][axis]
+            places.append([(mean[0], spread[0, 0]) for mean, spread in ways])
         for motion, deviation in enumerate(self.deviations(speed)):
             own = []
             for axis in (0, 1):
-                movers = [(p, *one[axis]) for p, one in zip(moves, before[1:], strict=True)]
-                places = [
-                    (mean[0], spread[0, 0]) for mean, spread in (united(movers), before[0][axis])
-                ]
-                moved, stood = (self.drawn(place, deviation) for place in places)
+                moved, stood = (self.drawn(place, deviation) for place in places[axis])
                 parts = [
                     (moves_on[motion] * self.odds[motion], *before[motion][axis]),
                     (from_moving[motion] * moves.sum(), *moved),
@@ -102,8 +103,7 @@ class Motions:
         kept = np.exp(-dt / KEEPS)
         step = np.array([[1.0, KEEPS * (1 - kept)], [0.0, kept]])
         # Integrals of the response of place and velocity to a push, over the time since the push.
-        since = (np.polynomial.legendre.leggauss(40)[0] + 1) * dt / 2
-        weights = np.polynomial.legendre.leggauss(40)[1] * dt / 2
+        since, weights = (NODES + 1) * dt / 2, WEIGHTS * dt / 2
         response = np.array([KEEPS * (1 - np.exp(-since / KEEPS)), np.exp(-since / KEEPS)])
         pushes = (response * weights) @ response.T
         log = np.zeros(6)

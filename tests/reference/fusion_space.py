@@ -72,7 +72,7 @@ def difference(a, b, chosen):
 
 def noise(model, s, dt, strengths):
     f, total = MODELS[model], np.zeros((len(s), len(s)))
-    nodes, weights = np.polynomial.legendre.leggauss(3)
+    nodes, weights = plane.gauss(3)
     for node, weight in zip(nodes, weights, strict=True):
         t = dt * (node + 1) / 2
         after = plane.jacobian(lambda state: f(state, dt - t), f(s, t))  # noqa: B023

@@ -70,23 +70,21 @@ def plane(size: tuple[float, float]) -> Meet:
 
 
 def mesh(vertices: Array, faces: NDArray[np.uint32]) -> Meet:
-    """Cramer's rule for origin + t d = a + u (b - a) + v (c - a), one triangle at a time."""
+    """Cramer's rule for origin + t d = a + u (b - a) + v (c - a), of every triangle and ray."""
+    a, b, c = np.moveaxis(vertices[faces.astype(int)], 1, 0)[:, :, None]
 
     def meet(origins: Array, directions: Array) -> Array:
-        candidates = [(np.full(len(origins), np.inf), np.zeros(len(origins), bool))]
-        for a, b, c in vertices[faces.astype(int)]:
-            system = np.stack(
-                np.broadcast_arrays(-directions, b - a, c - a), axis=-1
-            )  # columns: -d, b - a, c - a
-            whole = np.linalg.det(system)
-            solution = []
-            for column in range(3):
-                changed = system.copy()
-                changed[:, :, column] = origins - a
-                solution.append(np.linalg.det(changed) / whole)
-            t, u, v = solution
-            candidates.append((t, (u >= 0) & (v >= 0) & (u + v <= 1) & (whole != 0)))
-        return nearest(candidates)
+        sides = np.broadcast_arrays(-directions, b - a, c - a, origins - a)
+        system = np.stack(sides[:3], axis=-1)  # columns: -d, b - a, c - a
+        whole = np.linalg.det(system)
+        solution = []
+        for column in range(3):
+            changed = system.copy()
+            changed[..., column] = sides[3]
+            solution.append(np.linalg.det(changed) / whole)
+        t, u, v = solution
+        meets = (u >= 0) & (v >= 0) & (u + v <= 1) & (whole != 0)
+        return nearest(list(zip(t, meets, strict=True)))
 
     return meet
 

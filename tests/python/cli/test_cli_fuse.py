@@ -457,8 +457,6 @@ def test_config_fit_finds_the_noise_and_fuse_reads_its_file(tmp_path, std):
     fitted = FusionConfig.read(tmp_path / "fit.toml")
     assert fitted.method == "ukf"
     assert fitted.lidar_std == pytest.approx((std, std), rel=0.1)
-    if std == 0.05:
-        assert fitted == lc.runs.fit_config(places, method="ukf")
     out = ["-o", tmp_path / "run", "--overwrite", "--no-picture"]
     summary = result_of(places[0], *out, "--config", tmp_path / "fit.toml")
     assert summary["nis"]["lidar"]["mean"] == pytest.approx(2, abs=0.35)
@@ -467,6 +465,7 @@ def test_config_fit_finds_the_noise_and_fuse_reads_its_file(tmp_path, std):
 def test_fuse_with_fit_noise_is_fuse_with_the_file_of_config_fit(tmp_path):
     place = noisy(tmp_path / "a.csv", 0.6, SEED)
     assert fit(place, "-o", tmp_path / "fit.toml").exit_code == 0
+    assert lc.runs.fit_config([place]) == FusionConfig.read(tmp_path / "fit.toml")
     out = ["-o", tmp_path / "run", "--overwrite", "--no-picture"]
     states = []
     for ways in (["--fit-noise"], ["--config", tmp_path / "fit.toml"], []):

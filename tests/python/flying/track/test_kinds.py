@@ -17,7 +17,7 @@ from lidar_core.sim import (
     scenes,
 )
 
-FINE = lidar(rows=128, columns=1024)
+FINE = lidar(rows=96, columns=768)
 HOVER_S = 2.0
 BURN_IN_SCANS = 10
 FRONT = 11.5  # of a wall of the yard [m]
