@@ -331,21 +331,6 @@ def test_the_entry_point_is_the_command():
 # Rules
 
 
-def test_python_folders_have_floors():
-    house = runpy.run_path(str(ROOT / "tests/house_numbers.py"))
-    imports = house["python_imports"](PACKAGE)
-    paths = house["python_modules"](PACKAGE)
-    heads = {module for module, path in paths.items() if path.name == "__init__.py"}
-    assert imports["cli", "detect"]  # it reads imports at all
-    assert house["circles_of"](imports) == []
-    assert house["circles_across"](imports, heads) == []
-    assert [
-        module
-        for module, others in imports.items()
-        if module[0:1] != ("cli",) and any(other[0] == "cli" for other in others)
-    ] == [("__main__",)]
-
-
 def test_no_unsafe_rust():
     for path in first_party_rust():
         code = re.sub(r"//.*", "", path.read_text(encoding="utf-8"))
@@ -360,8 +345,10 @@ def test_no_unsafe_rust():
 
 @pytest.mark.parametrize("folder", ["python", "training", "examples", "docs"])
 def test_no_pickle_and_no_code_from_strings(folder):
+    words = re.compile(rf"\b({'|'.join([*FORBIDDEN_CALLS, *FORBIDDEN_IMPORTS, 'allow_pickle'])})\b")
     for path in (ROOT / folder).rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        text = path.read_text(encoding="utf-8")
+        for node in ast.walk(ast.parse(text)) if words.search(text) else ():
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
                 assert node.func.id not in FORBIDDEN_CALLS, path
             if isinstance(node, ast.Import):

@@ -5,6 +5,7 @@ import importlib
 import re
 import sys
 from collections import Counter, defaultdict
+from functools import cache
 
 import pytest
 from repository import ROOT
@@ -54,6 +55,7 @@ UPWARD = {("evaluation", "flying")}
 """Imports that still run up; this set only gets smaller."""
 
 
+@cache
 def imports_of(root):
     return (house.rust_imports if READERS[root] == "rust" else house.python_imports)(root)
 
@@ -123,6 +125,16 @@ def test_the_core_imports_only_lower_floors():
 def test_the_package_imports_only_lower_floors():
     found = upward(without_roots(imports_of(PACKAGE)), PYTHON_FLOORS)
     assert {pair for pair in found if not set(pair) <= PYTHON_FLOORS[1]} <= UPWARD
+
+
+def test_only_the_program_imports_the_command_line():
+    imports = imports_of(PACKAGE)
+    assert imports["cli", "detect"]  # it reads imports at all
+    assert [
+        module
+        for module, others in imports.items()
+        if module[0:1] != ("cli",) and any(other[0] == "cli" for other in others)
+    ] == [("__main__",)]
 
 
 def test_floors_see_what_runs_up():
@@ -235,6 +247,8 @@ def test_a_default_stands_beside_the_struct_that_it_fills():
 
 def positional_defaults(text):
     """Lines of calls of pydantic's Field whose default has no name."""
+    if "pydantic" not in text:
+        return []
     tree = ast.parse(text)
     modules = [node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
     if "pydantic" not in modules:

@@ -913,11 +913,12 @@ FULL_DISK = """
 import resource, sys
 import numpy as np
 import lidar_core.io as io
-from lidar_core.messages import Pose
+from lidar_core.messages import Scan
 
+points = np.random.default_rng(0).random((30_000, 3), np.float32)  # noise is not compressed
 resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
 try:
-    io.write_mcap(sys.argv[1], (Pose(k, "a", "b", np.eye(4)) for k in range(8_000)))
+    io.write_mcap(sys.argv[1], (Scan(k, points) for k in range(8)))
 except OSError as error:
     print(error)
 """
