@@ -10,6 +10,7 @@ MARGIN, NEAR = 0.4, 0.15
 RADIUS_MEAN, RADIUS_STD, PLACE_STD = 0.3, 0.25, 0.5
 PASSING_STD, LEAST_COSINE = 0.01, 0.3
 ROWS_APART = 0.1  # rays this far apart in height are of several rows [m]
+FEWEST_HITS, FEWEST_MISSED, MOST_COMPARED = 8, 4, 32  # whose neighbours are counted
 FEWEST_ABOVE, BELOW_GAPS = 4, 0.5  # rays above, to miss those below; those pass by a share of a gap
 
 
@@ -54,8 +55,30 @@ def seen_from(points, origin, passing):
     return sight, (points - centroid) @ axes.T, (crossing - centroid) @ axes.T
 
 
+def coherence(hits, missed, gap):
+    """Hits next to hits beyond chance, and how many there could be, in four directions."""
+    found = np.zeros((2, 4))
+    if len(hits) < FEWEST_HITS or len(missed) < FEWEST_MISSED:
+        return found
+    rays = np.concatenate([missed, hits])
+    is_hit = np.arange(len(rays)) >= len(missed)
+    chance = (len(hits) - 1) / (len(rays) - 1)
+    for hit in hits[:: -(-len(hits) // MOST_COMPARED)]:
+        off = rays - hit
+        eighth = np.round(np.degrees(np.arctan2(off[:, 1], off[:, 0])) / 45) % 8
+        squared = (off**2).sum(axis=1)
+        for side in range(8):
+            beside = (eighth == side) & (squared > 0) & (squared <= (2 * gap) ** 2)
+            if beside.any():
+                nearest = np.where(beside, squared, np.inf).argmin()
+                found[:, side % 4] += is_hit[nearest] - chance, 1 - chance
+    return found
+
+
 def outline(points, origin, passing, hiding):
-    """Share of the ellipse of the points that is hit; whether rays pass below, None if unknown.
+    """Share of the ellipse of the points that is hit, its coherence, and whether rays pass below.
+
+    None: unknown.
 
     `hiding`: rays that end in front. With more of them below than rays that pass, none passes.
     """
@@ -69,10 +92,13 @@ def outline(points, origin, passing, hiding):
         + np.eye(2) * gap**2 / 12
     )
     inside = [
-        (np.einsum("ij,jk,ik->i", off, inverse, off) <= 4).sum()
+        np.einsum("ij,jk,ik->i", off, inverse, off) <= 4
         for off in (hits - hits.mean(axis=0), rays - hits.mean(axis=0))
     ]
-    filled = inside[0] / sum(inside) if sum(inside) else 1.0
+    count = [those.sum() for those in inside]
+    filled = count[0] / sum(count) if sum(count) else 1.0
+    in_order = np.lexsort(points.T[::-1])
+    found = coherence(hits[in_order][inside[0][in_order]], rays[inside[1]], gap)
     half = max(np.ptp(hits[:, 0]) / 4, gap)  # the middle half, or what a gap leaves
     in_line = [
         those[np.abs(those[:, 0] - (hits[:, 0].min() + hits[:, 0].max()) / 2) <= half, 1]
@@ -83,12 +109,12 @@ def outline(points, origin, passing, hiding):
         ((ups >= bottom - MARGIN) & (ups < bottom - BELOW_GAPS * gap)).sum() for ups in in_line
     ]
     if 0 < passes < hides:
-        return filled, False
+        return filled, found, False
     if (level < hits[:, 1].min() - BELOW_GAPS * gap).any():
-        return filled, True
+        return filled, found, True
     above = level[level > hits[:, 1].max()]
     is_clear = len(above) >= FEWEST_ABOVE and np.ptp(above) >= ROWS_APART
-    return filled, False if is_clear else None
+    return filled, found, False if is_clear else None
 
 
 def frame(points, origin, passing, std):

@@ -252,7 +252,7 @@ class Detector:
                 covariance += (diagonal(own) / 4) ** 2 * np.outer(sight, sight)
                 covariance += self.c.range_std**2 * np.eye(3)
                 radius = least = diagonal(own) / 2
-                self.outline, self.is_at_edge = (np.nan, None), False
+                self.outline, self.is_at_edge = (np.nan, np.zeros((2, 4)), None), False
             else:
                 place, covariance, radius, least, _ = self.center_of(own)
             sight = own.mean(axis=0) - origin

@@ -57,7 +57,8 @@ DELETED, KEPT = 0.01, 0.5
 LIFETIME, VISIBLE, HIDDEN = 30.0, 5.0, 0.3  # [s]
 MEMORY, TARGETS, FEWEST = 300, 0.05, 0.02
 # Kinds: unknown, flying, ground, static, clutter; likelihoods of what a detection shows, sorts of
-# targets: their share, and mean and standard deviation of ln(radius) and ln(filled share).
+# targets: their share, mean and standard deviation of ln(radius) and ln(filled share), and how many
+# of them are bodies, whose hits lie side by side.
 RECURS = np.array([0.2, 0.02, 1, 1, 1])  # where things came and went before
 HANGS = np.array([0.3, 0.1, 0.3, 1, 1])  # beside structure, where it began
 STOOD = np.array([6, 0.02, 1, 2, 1])  # where something stood before it began
@@ -78,13 +79,25 @@ STEADY, AGILE, KNOWN_SHARE = 1.0, 4.0, 0.95  # [m/s^2], [m/s^2], no unit
 AGILE_SHARES, APART, MOST_AGILITY = np.array([0.5, 0.5, 0.02, 0.5, 0.5]), 0.5, 8.0
 MOST_SHAPES, SHAPE_NOISE, HALF_WEIGHT = 20, 0.4, 10
 SORTS = {
-    "flying": [(0.5, (-1.6, 0.35), (-0.65, 0.4)), (0.5, (-0.7, 0.6), (-0.65, 0.4))],
+    "flying": [(0.5, (-1.6, 0.35), (-0.65, 0.4), 1), (0.5, (-0.7, 0.6), (-0.65, 0.4), 1)],
     "clutter": [
-        (0.35, (-3.0, 0.4), (-0.7, 0.7)),
-        (0.35, (-1.2, 0.8), (-2.2, 0.6)),
-        (0.3, (-1.6, 1.0), (-1.2, 1.0)),
+        (0.35, (-3.0, 0.4), (-0.7, 0.7), 1),
+        (0.25, (-1.2, 0.8), (-2.2, 0.6), 0),
+        (0.1, (-1.0, 0.8), (-0.7, 0.5), 0),
+        (0.3, (-1.6, 1.0), (-1.2, 1.0), 0.5),
     ],
 }
+
+
+def body_and_loose(excess, possible):
+    """Densities of the largest coherence of four directions: of a body, of dust."""
+    known = possible >= 4
+    if not known.any():
+        return 1.0, 1.0
+    value, most = max(zip(excess[known] / possible[known], possible[known], strict=True))
+    chance = 2 / most
+    body = norm.pdf(value, 0.6, np.sqrt(0.2**2 + chance))
+    return 0.95 * body + 0.05, norm.pdf(value, 0, np.sqrt(0.05**2 + chance))
 
 
 def weighed(probability, likelihood):
@@ -218,8 +231,10 @@ class Track:
     began_uncovered: bool = False
     places: Stood = None
     filled: MeanLog = field(default_factory=MeanLog)
+    coherence: np.ndarray = field(default_factory=lambda: np.zeros((2, 4)))
     # of its first detection: number of points, radius, radius by its points, filled share,
-    # whether free below, whether over unseen space, whether at an edge that the sensor looks past
+    # coherence, whether free below, whether over unseen space, whether at an edge that the sensor
+    # looks past
     shape: tuple = None
     shape_before: tuple = None
 
@@ -234,10 +249,14 @@ class Track:
         radius.count = self.radius.count
         least = self.least_radius if self.least_radius.count else self.radius
         radius.mean = (1 - hangs) * self.radius.mean + hangs * least.mean
+        body, loose = body_and_loose(*self.coherence)
         flying, clutter = (
             sum(
-                share * radius.density(*size) * self.filled.density(*filled)
-                for share, size, filled in sorts
+                share
+                * radius.density(*size)
+                * self.filled.density(*filled)
+                * (bodies * body + (1 - bodies) * loose)
+                for share, size, filled, bodies in sorts
             )
             for sorts in (SORTS["flying"], SORTS["clutter"])
         )
@@ -268,12 +287,15 @@ class Track:
         """Enter the shape of a detection."""
         if shape is None:
             return
-        points, radius, least, filled, is_free_below, is_over_unseen, is_uncovered = shape
+        points, radius, least, filled, coherence, is_free_below, is_over_unseen, is_uncovered = (
+            shape
+        )
         self.began_uncovered |= is_uncovered and self.uncovered.count < FIRST
         self.uncovered.add(float(is_uncovered))
         self.radius.add(radius, points)
         self.least_radius.add(least, points)
         self.filled.add(filled, points)
+        self.coherence = 0.95 * self.coherence + coherence
         if is_over_unseen and is_free_below is False:
             if not self.was_over_unseen:
                 told = NOT_FREE_AT_FIRST if self.free_at_first is False else np.ones(5)
@@ -780,7 +802,7 @@ class Tracker:
         }
         changes |= {"radius": MeanLog(), "least_radius": MeanLog(), "filled": MeanLog()}
         changes |= {"recurs": Mean(), "hangs": Mean(), "stood": Mean(), "uncovered": Mean()}
-        changes |= {"began_uncovered": False}
+        changes |= {"began_uncovered": False, "coherence": np.zeros((2, 4))}
         x = np.r_[r, velocity, np.zeros(3)]
         return [replace(new, x=x, P=P, aged=P, history=[True], **changes)]
 
@@ -1013,6 +1035,7 @@ class Tracker:
                 agility=best.agility,
                 radius=best.radius,
                 filled=best.filled,
+                coherence=best.coherence,
                 uncovered=best.uncovered,
                 began_uncovered=best.began_uncovered,
             )

@@ -5,7 +5,7 @@ use crate::flying::analysis::PoseSpread;
 use crate::flying::classify::classifier::Classification;
 use crate::flying::classify::clusters::Cluster;
 use crate::flying::scan::prepared::Prepared;
-use crate::flying::track::TargetShape;
+use crate::flying::track::{Coherence, TargetShape};
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{Transform, minus, norm};
 use serde::{Deserialize, Serialize};
@@ -38,6 +38,8 @@ pub struct Detection {
     pub is_among_surfaces: bool,
     /// Fill: share of the rays inside the ellipse around its points that hit. NaN if unknown.
     pub filled_share: f64,
+    /// Hits next to hits beyond chance: many on a body, none in dust. Zero if unknown.
+    pub coherence: Coherence,
     /// Whether rays pass below it. None if unknown.
     pub is_free_below: Option<bool>,
     /// Whether it has moved above space that was never observed, or an object in front of it hides
@@ -95,6 +97,7 @@ impl Detection {
             is_joined: false,
             is_among_surfaces: false,
             filled_share: f64::NAN,
+            coherence: Coherence::default(),
             is_free_below: None,
             is_over_unseen: classification.is_over_unseen,
             is_uncovered: false,
@@ -109,6 +112,7 @@ impl Detection {
             radius: center.radius,
             least_radius: center.least_radius,
             filled_share: center.filled_share,
+            coherence: center.coherence,
             is_free_below: center.is_free_below,
             ..self
         }
@@ -118,12 +122,13 @@ impl Detection {
     /// the rays that passed.
     pub(crate) fn shape(&self) -> TargetShape {
         let Self { n_points, radius, least_radius, filled_share, is_free_below, .. } = *self;
-        let Self { is_over_unseen, is_uncovered, .. } = *self;
+        let Self { coherence, is_over_unseen, is_uncovered, .. } = *self;
         TargetShape {
             n_points,
             radius,
             least_radius,
             filled_share,
+            coherence,
             is_free_below,
             is_over_unseen,
             is_uncovered,

@@ -4,6 +4,7 @@
 use super::center::{Center, PassingRays, RaySource, TargetHit, TargetRay, TargetRegion};
 use crate::flying::analysis::PoseSpread;
 use crate::flying::scan::prepared::Prepared;
+use crate::flying::sky::source::SkySource;
 use crate::flying::track::Visibility;
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{dot, minus, norm};
@@ -153,6 +154,7 @@ impl RaySource for ScanView<'_> {
         for part in parts {
             for (all, mut more) in around.iter_mut().zip(part) {
                 all.passing.append(&mut more.passing);
+                all.missed.append(&mut more.missed);
                 all.n_blocked += more.n_blocked;
                 all.hiding.append(&mut more.hiding);
             }
@@ -181,7 +183,12 @@ impl ScanView<'_> {
             };
             for (ball, rays) in balls.iter().zip(&mut around) {
                 match ball.end(origin, way, squared) {
-                    Some(End::Behind) if casts(row) => rays.passing.push(ray()),
+                    Some(End::Behind) if casts(row) => {
+                        rays.passing.push(ray());
+                        if !self.scan.no_return[row] || self.scan.sky != SkySource::Density {
+                            rays.missed.push(ray());
+                        }
+                    }
                     Some(End::InFront) if !self.scan.no_return[row] => {
                         rays.n_blocked += 1;
                         if casts(row) && !is_own(row) {

@@ -32,7 +32,7 @@ pub(in crate::flying::detect) fn of_expected(
 
 /// Ellipse of two standard deviations around places in a plane. A disc of places fills it, and so
 /// does a bar.
-struct SpreadEllipse {
+pub(super) struct SpreadEllipse {
     mean: [f64; 2],
     /// Covariance of the places [m^2]: the elements xx, xy and yy.
     xx: f64,
@@ -43,7 +43,7 @@ struct SpreadEllipse {
 impl SpreadEllipse {
     /// Ellipse around some places [m]. `ray_gap`: distance between neighbouring rays [m], which
     /// limits the smallest ellipse.
-    fn of(places: &[[f64; 2]], ray_gap: f64) -> Self {
+    pub(super) fn of(places: &[[f64; 2]], ray_gap: f64) -> Self {
         let count = places.len() as f64;
         let mean: [f64; 2] =
             std::array::from_fn(|axis| places.iter().map(|place| place[axis]).sum::<f64>() / count);
@@ -61,7 +61,7 @@ impl SpreadEllipse {
     }
 
     /// True if `place` is inside the ellipse.
-    fn holds(&self, place: [f64; 2]) -> bool {
+    pub(super) fn holds(&self, place: [f64; 2]) -> bool {
         let Self { mean, xx, xy, yy } = self;
         let [x, y] = [place[0] - mean[0], place[1] - mean[1]];
         yy * x * x - 2.0 * xy * x * y + xx * y * y <= 4.0 * self.determinant()

@@ -1,11 +1,13 @@
 //! Model of an open frame: rotors, arms and a body, through which rays pass.
 
+use super::coherence::coherence;
 use super::filled::filled_share;
 use super::sphere::Start;
 use super::target_observation::{MARGIN, TargetObservation, TargetRay};
 use super::{Center, Matrix3, Vector3};
 use crate::estimation::kalman::symmetrised;
 use crate::flying::large_targets::shape_weight;
+use crate::flying::track::Coherence;
 use std::f64::consts::PI;
 
 /// Solid shares of an open frame and of a closed body. The following pairs of values belong to
@@ -74,6 +76,7 @@ pub(super) struct OpenFrame {
     pub(super) solid_share: f64,
     /// Share of the rays inside the ellipse around the points that hit the target.
     pub(super) filled_share: f64,
+    pub(super) coherence: Coherence,
     /// Whether rays pass below the target. None if nothing shows it.
     pub(super) is_free_below: Option<bool>,
     centroid: Vector3<f64>,
@@ -127,6 +130,7 @@ impl OpenFrame {
             least_radius,
             solid_share: outline.solid_share,
             filled_share: outline.filled_share,
+            coherence: outline.coherence,
             is_free_below: outline.is_free_below,
             centroid,
             sight,
@@ -141,13 +145,15 @@ impl OpenFrame {
     }
 
     pub(super) fn into_center(self, observation: &TargetObservation) -> Center {
-        let Self { position, radius, least_radius, filled_share, is_free_below, .. } = self;
+        let Self { position, radius, least_radius, filled_share, coherence, is_free_below, .. } =
+            self;
         Center {
             position,
             covariance: symmetrised(self.covariance),
             radius,
             least_radius,
             filled_share,
+            coherence,
             is_free_below,
             is_cut: observation.is_cut,
             is_at_edge: observation.is_at_edge,
@@ -194,6 +200,7 @@ struct SeenExtent {
     least_gap: f64,
     solid_share: f64,
     filled_share: f64,
+    coherence: Coherence,
     is_free_below: Option<bool>,
 }
 
@@ -241,6 +248,7 @@ impl SeenExtent {
             least_gap: ray_gap.min(own_gap),
             solid_share,
             filled_share: filled_share(&hits, &passing, ray_gap),
+            coherence: coherence(&hits, &crossings(&observation.missed), ray_gap),
             is_free_below: is_free_below(&hits, &passing, &crossings(&observation.hiding), ray_gap),
         }
     }

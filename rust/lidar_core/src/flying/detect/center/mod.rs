@@ -6,6 +6,7 @@
 //! centre and radius follow from both, and an open frame like that of a multicopter, whose centre
 //! is behind the centroid by a share of its width.
 
+mod coherence;
 mod filled;
 mod frame;
 mod sphere;
@@ -22,6 +23,7 @@ pub(crate) use target_observation::{
 use crate::Error;
 use crate::error::require;
 use crate::estimation::kalman::symmetrised;
+use crate::flying::track::Coherence;
 use crate::geometry::transform::norm;
 use crate::util::budget::check_points;
 use frame::OpenFrame;
@@ -43,6 +45,8 @@ pub struct Center {
     /// Fill: share of the rays inside the ellipse around the points that hit, 0 to 1. It is small
     /// for loose objects such as leaves.
     pub filled_share: f64,
+    /// Hits next to hits beyond chance: many on a body, none in dust.
+    pub coherence: Coherence,
     /// Whether rays pass below the target. None if unknown.
     pub is_free_below: Option<bool>,
     /// Whether a nearer object may hide a part of the target.
@@ -98,8 +102,8 @@ pub fn target_center(
         direction: Vector3::from(way).normalize(),
     };
     let near = |ray: &TargetRay| ray.aside(&region.middle).norm() <= region.reach();
-    let passing = passing.iter().map(ray).filter(near).collect();
-    let around = PassingRays { passing, ..PassingRays::default() };
+    let passing: Vec<TargetRay> = passing.iter().map(ray).filter(near).collect();
+    let around = PassingRays { missed: passing.clone(), passing, ..PassingRays::default() };
     Ok(Center::of(&TargetObservation::new(hits, around), range_std))
 }
 
@@ -144,6 +148,7 @@ impl Center {
             least_radius: weight * ball.radius.min(LARGEST_BALL * frame.least_radius)
                 + (1.0 - weight) * frame.least_radius,
             filled_share: frame.filled_share,
+            coherence: frame.coherence,
             is_free_below: frame.is_free_below,
             is_cut: observation.is_cut,
             is_at_edge: observation.is_at_edge,

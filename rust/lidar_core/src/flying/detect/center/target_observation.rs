@@ -37,6 +37,9 @@ pub(crate) struct TargetObservation {
     pub(crate) hits: Vec<TargetHit>,
     /// Rays that passed the target, beside it or through its gaps.
     pub(crate) passing: Vec<TargetRay>,
+    /// Those of the `passing` rays that were certainly cast. Where the sky is estimated by its density, these are the
+    /// rays that returned from behind the target.
+    pub(super) missed: Vec<TargetRay>,
     /// Rays near the target that end in front of it, and certainly not on the robot itself.
     pub(super) hiding: Vec<TargetRay>,
     /// Whether rays beside the points ended nearer to the sensor, so that a part of the target may
@@ -63,6 +66,9 @@ pub(crate) struct TargetRegion {
 pub(crate) struct PassingRays {
     /// Rays that passed the target and went on behind it.
     pub(crate) passing: Vec<TargetRay>,
+    /// Those of the `passing` rays that were certainly cast. Where the sky is estimated by its density, these are the
+    /// rays that returned from behind the target.
+    pub(crate) missed: Vec<TargetRay>,
     /// Number of rays that ended in front of the target.
     pub(crate) n_blocked: usize,
     /// Rays that end in front of the region, and certainly not on the robot itself.
@@ -187,7 +193,7 @@ impl Sectors<'_> {
 impl TargetObservation {
     /// An observation with sorted hits and rays, so that results do not depend on their order.
     pub(crate) fn new(mut hits: Vec<TargetHit>, around: PassingRays) -> Self {
-        let PassingRays { mut passing, n_blocked, hiding } = around;
+        let PassingRays { mut passing, missed, n_blocked, hiding } = around;
         let region = TargetRegion::of(&hits);
         hits.sort_by(|one, other| order(&one.point, &other.point));
         let is_at_edge = region.sectors_of(&hits).is_any_hidden(&passing, &hiding);
@@ -201,7 +207,7 @@ impl TargetObservation {
         let n_near = sorted.len();
         sorted.extend(passing.iter().filter(|ray| !is_near(ray)));
         let is_cut = n_blocked >= ENOUGH_BLOCKED;
-        Self { hits, passing: sorted, hiding, is_cut, is_at_edge, n_near }
+        Self { hits, passing: sorted, missed, hiding, is_cut, is_at_edge, n_near }
     }
 
     pub(super) fn near_passing(&self) -> &[TargetRay] {

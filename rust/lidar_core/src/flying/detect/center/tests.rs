@@ -148,7 +148,7 @@ fn is_at_edge(is_hidden: impl Fn(f64, f64) -> bool) -> bool {
     };
     let (hiding, passing): (Vec<_>, Vec<_>) =
         observation.passing.iter().partition(|ray| hides(ray));
-    let around = PassingRays { n_blocked: hiding.len(), hiding, passing };
+    let around = PassingRays { n_blocked: hiding.len(), hiding, passing, ..PassingRays::default() };
     TargetObservation::new(observation.hits, around).is_at_edge
 }
 

@@ -5,6 +5,7 @@
 //! weighed once. Insects are smaller than the targets. Dust and leaves return few of many rays.
 //! Rays pass below flying targets, and not below objects that stand on the ground.
 
+use super::coherence::Coherence;
 use crate::tracking::kind::{KINDS, KindBelief};
 use serde::{Deserialize, Serialize};
 
@@ -86,6 +87,8 @@ pub struct TargetShape {
     pub least_radius: f64,
     /// Share of the rays inside the ellipse around its points that hit it. NaN if unknown.
     pub filled_share: f64,
+    /// Hits next to hits beyond chance. Zero if unknown.
+    pub coherence: Coherence,
     /// Whether rays pass below it. None if unknown.
     pub is_free_below: Option<bool>,
     /// Whether it has moved over space that was never seen, or something in front of it hides the space below it.
@@ -98,25 +101,28 @@ pub struct TargetShape {
 #[derive(Clone, Copy)]
 struct LogNormal(f64, f64);
 
-/// A sort of targets of one kind: its share of the kind, distribution of the radius [m] and of the fill (0 to 1).
+/// A sort of targets of one kind: its share of the kind, distribution of the radius [m] and of the fill (0 to 1), and
+/// the share of bodies, which neighbouring rays meet. Rays meet the others at random.
 struct Sort {
     share: f64,
     radius: LogNormal,
     filled: LogNormal,
+    bodies: f64,
 }
 
 /// Sorts of flying targets: birds and small frames; targets of half a metre and more. Their fill was measured on
 /// spheres and frames in recordings of five sensors: logarithms of -1.1 to 0 in the mean of a target.
 const FLYING: [Sort; 2] = [
-    Sort { share: 0.5, radius: LogNormal(-1.6, 0.35), filled: LogNormal(-0.65, 0.4) },
-    Sort { share: 0.5, radius: LogNormal(-0.7, 0.6), filled: LogNormal(-0.65, 0.4) },
+    Sort { share: 0.5, radius: LogNormal(-1.6, 0.35), filled: LogNormal(-0.65, 0.4), bodies: 1.0 },
+    Sort { share: 0.5, radius: LogNormal(-0.7, 0.6), filled: LogNormal(-0.65, 0.4), bodies: 1.0 },
 ];
 /// Sorts of clutter: insects; dust, smoke and rain (simulated puffs and drops have a logarithm of the fill of -3.1 to
-/// -1.6); leaves and everything else.
-const CLUTTER: [Sort; 3] = [
-    Sort { share: 0.35, radius: LogNormal(-3.0, 0.4), filled: LogNormal(-0.7, 0.7) },
-    Sort { share: 0.35, radius: LogNormal(-1.2, 0.8), filled: LogNormal(-2.2, 0.6) },
-    Sort { share: 0.3, radius: LogNormal(-1.6, 1.0), filled: LogNormal(-1.2, 1.0) },
+/// -1.6); dust that is as dense as a frame; leaves and everything else.
+const CLUTTER: [Sort; 4] = [
+    Sort { share: 0.35, radius: LogNormal(-3.0, 0.4), filled: LogNormal(-0.7, 0.7), bodies: 1.0 },
+    Sort { share: 0.25, radius: LogNormal(-1.2, 0.8), filled: LogNormal(-2.2, 0.6), bodies: 0.0 },
+    Sort { share: 0.1, radius: LogNormal(-1.0, 0.8), filled: LogNormal(-0.7, 0.5), bodies: 0.0 },
+    Sort { share: 0.3, radius: LogNormal(-1.6, 1.0), filled: LogNormal(-1.2, 1.0), bodies: 0.5 },
 ];
 
 /// Weighted mean of a value over the last detections.
@@ -174,6 +180,7 @@ pub(in crate::flying::track) struct Kinds {
     radius: Mean,
     least_radius: Mean,
     filled: Mean,
+    coherence: Coherence,
     /// Mean of how often something came and went before at the places of its detections, 0 to 1.
     recurs: Mean,
     /// Share of the detections in which it was beside structure and near its first detection.
@@ -205,6 +212,7 @@ impl Kinds {
             radius,
             least_radius,
             filled,
+            coherence: Coherence::default(),
             recurs,
             hangs,
             stood,
@@ -240,6 +248,7 @@ impl Kinds {
         self.radius.add_log(shape.radius, shape.n_points);
         self.least_radius.add_log(shape.least_radius, shape.n_points);
         self.filled.add_log(shape.filled_share, shape.n_points);
+        self.coherence.add(&shape.coherence);
         self.began_uncovered |= shape.is_uncovered && self.uncovered.count < FIRST;
         self.uncovered.add(f64::from(u8::from(shape.is_uncovered)));
         if shape.is_over_unseen && shape.is_free_below == Some(false) {
@@ -321,9 +330,13 @@ impl Kinds {
         let least = if self.least_radius.count > 0.0 { self.least_radius } else { self.radius };
         let radius =
             Mean { mean: (1.0 - hangs) * self.radius.mean + hangs * least.mean, ..self.radius };
+        let [body, loose] = self.coherence.densities();
         let density = |sorts: &[Sort]| {
             let of = |sort: &Sort| {
-                sort.share * radius.density(sort.radius) * self.filled.density(sort.filled)
+                sort.share
+                    * radius.density(sort.radius)
+                    * self.filled.density(sort.filled)
+                    * (sort.bodies * body + (1.0 - sort.bodies) * loose)
             };
             sorts.iter().map(of).sum::<f64>()
         };
@@ -358,6 +371,7 @@ mod tests {
                 radius,
                 least_radius: radius,
                 filled_share,
+                coherence: Coherence::default(),
                 is_free_below: None,
                 is_over_unseen: false,
                 is_uncovered: false,
@@ -394,6 +408,7 @@ mod tests {
                 radius,
                 least_radius: radius,
                 filled_share: 0.75,
+                coherence: Coherence::default(),
                 is_free_below: None,
                 is_over_unseen: false,
                 is_uncovered: false,
@@ -420,6 +435,7 @@ mod tests {
             radius: 0.4,
             least_radius: 0.4,
             filled_share: 0.7,
+            coherence: Coherence::default(),
             is_free_below: Some(false),
             is_over_unseen: false,
             is_uncovered: false,
@@ -450,6 +466,7 @@ mod tests {
             radius: 0.35,
             least_radius: 0.35,
             filled_share: 0.8,
+            coherence: Coherence::default(),
             is_free_below: Some(false),
             is_over_unseen: true,
             is_uncovered: false,
@@ -480,6 +497,7 @@ mod tests {
             radius: 0.35,
             least_radius: 0.35,
             filled_share: 0.8,
+            coherence: Coherence::default(),
             is_free_below: None,
             is_over_unseen: true,
             is_uncovered: false,
@@ -494,6 +512,7 @@ mod tests {
             radius: 0.35,
             least_radius: 0.35,
             filled_share: 0.8,
+            coherence: Coherence::default(),
             is_free_below: Some(is_free),
             is_over_unseen: false,
             is_uncovered: false,
@@ -512,6 +531,7 @@ mod tests {
             radius: 0.6,
             least_radius: 0.6,
             filled_share: 0.6,
+            coherence: Coherence::default(),
             is_free_below: Some(false),
             is_over_unseen: true,
             is_uncovered: false,
@@ -536,6 +556,7 @@ mod tests {
             radius: 0.3,
             least_radius: 0.3,
             filled_share: 0.8,
+            coherence: Coherence::default(),
             is_free_below: Some(is_free),
             is_over_unseen: !is_free,
             is_uncovered: false,
@@ -557,6 +578,7 @@ mod tests {
             radius: 0.35,
             least_radius: 0.35,
             filled_share: 0.8,
+            coherence: Coherence::default(),
             is_free_below: Some(false),
             is_over_unseen: true,
             is_uncovered: false,
@@ -583,6 +605,7 @@ mod tests {
             radius: 0.3,
             least_radius: 0.3,
             filled_share: 0.8,
+            coherence: Coherence::default(),
             is_free_below: Some(true),
             is_over_unseen: false,
             is_uncovered: false,
@@ -628,6 +651,7 @@ mod tests {
             radius: 0.25,
             least_radius: radius,
             filled_share: 0.5,
+            coherence: Coherence::default(),
             is_free_below: None,
             is_over_unseen: false,
             is_uncovered: false,
