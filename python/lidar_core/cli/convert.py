@@ -165,6 +165,7 @@ def _write_recording(
 ) -> dict[str, Any]:
     """Write scans and poses; return counts of written and skipped messages as plain values."""
     from lidar_core.io import open_recording
+    from lidar_core.io.poses.pose_topics import is_odometry
     from lidar_core.io.scan_topics import NAMELESS
     from lidar_core.io.write.recording import write_arrivals
     from lidar_core.io.writers import writer_of
@@ -184,7 +185,8 @@ def _write_recording(
 
         writer_of(output, "messages")  # refuses another ending before anything is made
         make_parents(output)
-        write_arrivals(output, counted())
+        odometry = {topic.name for topic in opened.topics() if is_odometry(topic)}
+        write_arrivals(output, counted(), odometry=odometry)
         left_out = {**opened.skipped, **opened.noticed().rejected}
     return {
         "input": str(source),

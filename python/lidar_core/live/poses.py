@@ -7,8 +7,8 @@ import numpy as np
 
 from lidar_core.errors import ConfigError
 from lidar_core.io import NoTransformError, PosedScan, PoseOptions, TransformBuffer
-from lidar_core.io.messages.ros import POSE_TYPES
 from lidar_core.io.poses.nameless import LOOKED_AT, carrier_of, same_movement
+from lidar_core.io.poses.pose_topics import is_odometry
 from lidar_core.io.poses.posed import KISS, SOURCES, WORLD_FRAME, pose_stamps, span_ns
 from lidar_core.io.records import Topic
 from lidar_core.io.scan_topics import listed
@@ -89,7 +89,7 @@ class LivePoses:
             Several frames carry it, and the stream does not state which one is meant; or a second
             topic has odometry soon after the first one, which is already used.
         """
-        if topic.type in POSE_TYPES or topic.name == self._options.odom:
+        if is_odometry(topic) or topic.name == self._options.odom:
             self._add_odometry(topic.name, pose, carried_frame)
             return
         is_kept = self._add_to(self._transforms, topic.name, pose)

@@ -9,6 +9,7 @@ from threading import Lock, Thread
 from lidar_core.errors import LidarCoreError
 from lidar_core.io import McapWriter
 from lidar_core.io.files.atomic import check_place
+from lidar_core.io.poses.pose_topics import is_odometry
 from lidar_core.io.poses.posed import WORLD_FRAME
 from lidar_core.io.records import Record
 from lidar_core.io.write.recording import write_arrivals
@@ -63,6 +64,7 @@ class Tape:
         self.path = path
         self.lost = 0
         self._has_arrivals = has_arrivals
+        self._odometry: set[str] = set()
         self._waiting: Queue[Record | None] = Queue(MOST_WAITING)
         self._error: Exception | None = None
         self._thread = Thread(target=self._write, daemon=True)
@@ -97,11 +99,13 @@ class Tape:
     def _write(self) -> None:
         try:
             if self.path.suffix.lower() == ".mcap":
-                with McapWriter(self.path, tracks_frame=WORLD_FRAME, is_live=True) as writer:
+                with McapWriter(
+                    self.path, tracks_frame=WORLD_FRAME, is_live=True, odometry=self._odometry
+                ) as writer:
                     for message, arrival_ns in self._messages():
                         writer.write(message, log_time_ns=arrival_ns)
             else:
-                write_arrivals(self.path, self._messages())
+                write_arrivals(self.path, self._messages(), odometry=self._odometry)
         except Exception as error:  # whatever it is, the run ends with it
             self._error = error
             while self._waiting.get() is not None:
@@ -109,6 +113,8 @@ class Tape:
 
     def _messages(self) -> Iterator[tuple[Message, int | None]]:
         while (record := self._waiting.get()) is not None:
+            if is_odometry(record.topic):
+                self._odometry.add(record.topic.name)
             arrival_ns = record.time_ns if self._has_arrivals else None
             try:
                 yield from ((message, arrival_ns) for message in record.decode())

@@ -1,13 +1,15 @@
 """Suggested commands for a recording, tried out up to the first scan with a pose."""
 
 import shlex
+import warnings
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from lidar_core.errors import LidarCoreError
+from lidar_core.errors import LidarCoreError, PoseFrameWarning
 from lidar_core.io import PosedScans, PoseOptions, ReadOptions, RecordingInfo, TopicInfo
 from lidar_core.io.hints import RECOVERED
 from lidar_core.io.poses.nameless import UnclearCarrierError
+from lidar_core.io.poses.pose_topics import is_odometry
 from lidar_core.io.recording import Recording
 from lidar_core.io.records import POSE_KINDS, SCAN_KINDS, Record, Topic
 from lidar_core.io.restamped import RestampedRecording
@@ -162,13 +164,20 @@ def _tries(info: RecordingInfo, topic: TopicInfo) -> Iterator[_Try]:
     if not moving:
         return
     yield _Try({})
-    yield from (_Try({"odom": one.name}) for one in info.topics if one.kind == "pose" and one.name)
+    named_topics = [one for one in info.topics if one.kind == "pose" and one.name]
+    yield from (_Try({"odom": one.name}) for one in named_topics if not _has_transforms(one))
     if topic.frames:
         named = [child for child in moving if child and child not in topic.frames]
         yield from (
             _Try({"mounting": f"{child} {topic.frames[0]} {AT_ORIGIN}"}, MOUNTED.format(child))
             for child in named
         )
+    # A transform without a name is that of the sensor only if nothing else can be.
+    yield from (_Try({"odom": one.name}) for one in named_topics if _has_transforms(one))
+
+
+def _has_transforms(topic: TopicInfo) -> bool:
+    return not is_odometry(Topic(topic.name, topic.type, "pose"))
 
 
 def _tried(recording: Recording, topic: TopicInfo, one: _Try) -> bool | list[str]:
@@ -182,8 +191,10 @@ def _tried(recording: Recording, topic: TopicInfo, one: _Try) -> bool | list[str
             if is_planar
             else PosedScans(recording, options, Scan)
         )
-        return next(iter(scans), None) is not None
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", PoseFrameWarning)
+            return next(iter(scans), None) is not None
     except UnclearCarrierError as error:
         return error.mountings
-    except LidarCoreError:
+    except (LidarCoreError, PoseFrameWarning):  # the poses are wrong, and a note says so
         return False

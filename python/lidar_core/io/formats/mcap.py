@@ -35,7 +35,7 @@ from lidar_core.messages import Message
     extra="io",
     folder="merged",
     marker="metadata.yaml",
-    note="messages of ROS 2, or PointCloud, LaserScan and FrameTransform of Foxglove",
+    note="messages of ROS 2, or PointCloud, LaserScan, FrameTransform and PoseInFrame of Foxglove",
 )
 class McapRecording(Recording):
     """One MCAP file, read chunk by chunk in time order."""

@@ -33,6 +33,7 @@ from lidar_core.io.files.guard import reading
 from lidar_core.io.files.npy import archive_of, array_in
 from lidar_core.io.messages.own_cloud import OWN_VERDICT
 from lidar_core.io.options import ReadOptions
+from lidar_core.io.poses.pose_topics import NPZ_ODOMETRY
 from lidar_core.io.readers import register_reader
 from lidar_core.io.recording import Recording
 from lidar_core.io.records import Record, Topic, decoded
@@ -84,10 +85,17 @@ class NpzRecording(Recording):
                 continue
             names, counts = np.unique(self._index[f"{prefix}_topic"], return_counts=True)
             result += [
-                Topic(str(name), f"npz {prefix}", kind, int(count))  # type: ignore[arg-type]
+                Topic(str(name), self._type_of(prefix, name), kind, int(count))  # type: ignore[arg-type]
                 for name, count in zip(names, counts, strict=True)
             ]
         return result
+
+    def _type_of(self, prefix: str, name: Any) -> str:
+        """Type of a topic: poses without child frame are no transforms, as in a bag."""
+        is_nameless = prefix == "pose" and not any(
+            self._index["pose_child_frame_id"][self._index["pose_topic"] == name]
+        )
+        return NPZ_ODOMETRY if is_nameless else f"npz {prefix}"
 
     def records(self, kinds: frozenset[str] | None = None) -> Iterator[Record]:
         """Poses and scans in time order; poses come first at equal times."""

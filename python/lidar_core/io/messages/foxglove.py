@@ -1,9 +1,10 @@
-"""Decoder of Foxglove's protobuf messages PointCloud, LaserScan and FrameTransform(s)."""
+"""Decoder of Foxglove's protobuf messages PointCloud, LaserScan, FrameTransform(s), PoseInFrame."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidar_core.errors import FormatError
 from lidar_core.extras import require
@@ -16,17 +17,20 @@ from lidar_core.io.records import Findings, Kind
 from lidar_core.io.rotations import pose_matrix, unit_quaternion
 from lidar_core.messages import LaserScan, Message, Pose, Scan
 
-CLOUD, LASER, TRANSFORM, TRANSFORMS = (
+CLOUD, LASER, TRANSFORM, TRANSFORMS, POSE_IN_FRAME = (
     "foxglove.PointCloud",
     "foxglove.LaserScan",
     "foxglove.FrameTransform",
     "foxglove.FrameTransforms",
+    "foxglove.PoseInFrame",
 )
 FOXGLOVE_TYPES = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "f4", 8: "f8"}
 OWN_HEIGHT = "lidar_core_height"
 """Key in the metadata of a channel that `write_mcap` wrote: rows of the organised cloud, or 1."""
 OWN_SCANNER = "lidar_core_scanner"
 """Same for 2D scans: angle_increment, range_min, range_max, and time_increment [ns]."""
+OWN_CHILD = "lidar_core_child_frame"
+"""Same for poses: their child frame, which PoseInFrame does not have."""
 
 
 def foxglove_kind(type_name: str) -> Kind:
@@ -35,7 +39,7 @@ def foxglove_kind(type_name: str) -> Kind:
         return "scan"
     if type_name == LASER:
         return "planar"
-    return "pose" if type_name in (TRANSFORM, TRANSFORMS) else "other"
+    return "pose" if type_name in (TRANSFORM, TRANSFORMS, POSE_IN_FRAME) else "other"
 
 
 class FoxgloveDecoder:
@@ -70,6 +74,8 @@ class FoxgloveDecoder:
                 return [self._cloud(topic, message, metadata, place)]
             if schema.name == LASER:
                 return [self._laser(topic, message, metadata, place)]
+            if schema.name == POSE_IN_FRAME:
+                return [_pose(topic, message, metadata.get(OWN_CHILD, ""), place)]
             items = message.transforms if schema.name == TRANSFORMS else [message]
             return [_transform(topic, item, place) for item in items]
 
@@ -162,16 +168,24 @@ class FoxgloveDecoder:
 
 
 def _transform(topic: str, item: Any, place: str) -> Pose:
-    t, r = item.translation, item.rotation
-    quaternion = unit_quaternion(np.array([r.x, r.y, r.z, r.w], np.float64), place=place)
     return Pose(
         _stamp_ns(item.timestamp),
         item.parent_frame_id,
         item.child_frame_id,
-        pose_matrix(np.array([t.x, t.y, t.z], np.float64), quaternion),
+        _matrix(item.translation, item.rotation, place),
         is_static=topic.rstrip("/").endswith("tf_static"),
         topic=topic,
     )
+
+
+def _pose(topic: str, item: Any, child_frame_id: str, place: str) -> Pose:
+    matrix = _matrix(item.pose.position, item.pose.orientation, place)
+    return Pose(_stamp_ns(item.timestamp), item.frame_id, child_frame_id, matrix, topic=topic)
+
+
+def _matrix(t: Any, r: Any, place: str) -> NDArray[np.float64]:
+    quaternion = unit_quaternion(np.array([r.x, r.y, r.z, r.w], np.float64), place=place)
+    return pose_matrix(np.array([t.x, t.y, t.z], np.float64), quaternion)
 
 
 def _stamp_ns(stamp: Any) -> int:

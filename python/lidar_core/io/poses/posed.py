@@ -11,17 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.errors import ConfigError, FormatError, InputError, PoseFrameWarning, did_you_mean
-from lidar_core.io.messages.ros import POSE_TYPES
 from lidar_core.io.options import NS, PoseOptions
+from lidar_core.io.poses.leaps import leap_notes
 from lidar_core.io.poses.nameless import carrier_of
 from lidar_core.io.poses.pose_files import read_poses
 from lidar_core.io.poses.pose_frames import FrameMismatch, PoseFrameCheck, advice
+from lidar_core.io.poses.pose_topics import is_odometry
 from lidar_core.io.poses.tf_buffer import NoTransformError, TransformBuffer
 from lidar_core.io.scan_topics import WORDS, listed, scan_topic
 from lidar_core.messages import LaserScan, Pose, PosedScan, Scan, ScanT
 
 if TYPE_CHECKING:
     from lidar_core.io.recording import Recording
+    from lidar_core.io.records import Topic
 
 WORLD_FRAME = "world"
 AUTO, STATIC, KISS = "auto", "static", "kiss"
@@ -57,6 +59,7 @@ class PosedScans(Generic[ScanT]):
         self.source = options.pose
         self.without_pose: Counter[str] = Counter()
         self._from_quaternions = False
+        self._moving: list[tuple[str, Pose]] = []
 
     def __iter__(self) -> Iterator[PosedScan[ScanT]]:
         self.without_pose.clear()
@@ -201,6 +204,7 @@ class PosedScans(Generic[ScanT]):
             raise self._missing(frame, buffer, f"nothing moves {frame!r}")
         self.fixed_frame = root
         self.source = f"transforms {root} -> {frame}"
+        self._tell_leaps(buffer, root, frame)
         return self._looked_up(buffer, root, frame)
 
     def _looked_up(
@@ -243,7 +247,7 @@ class PosedScans(Generic[ScanT]):
     def _fill_buffer(self, frame: str) -> TransformBuffer:
         """Collect the poses of the recording: transforms; odometry if asked for or needed."""
         gathered = list(self._recording.poses())
-        odometry = [item for item in gathered if item[0].type in POSE_TYPES]
+        odometry = [item for item in gathered if is_odometry(item[0])]
         topics = sorted({topic.name for topic, _ in odometry})
         chosen = self._options.odom
         if chosen is not None and chosen not in {topic.name for topic, _ in gathered}:
@@ -251,34 +255,48 @@ class PosedScans(Generic[ScanT]):
                 f"odom: no topic {chosen!r} with poses; found {listed(topics)}"
                 f"{did_you_mean(chosen, topics)}"
             )
-        transforms = [item for item in gathered if item[0].type not in POSE_TYPES]
+        transforms = [item for item in gathered if not is_odometry(item[0])]
         if chosen is None:
-            buffer = self._with(pose for _, pose in transforms)
+            buffer = self._with(transforms)
             root = self._options.fixed_frame or buffer.root_of(frame)
             if _moves(buffer, root, frame) or len(topics) != 1:
                 return buffer
             chosen = topics[0]
         known = [pose for _, pose in transforms]
-        fixed = [pose for pose in known if pose.is_static]
-        moving = [pose for topic, pose in gathered if topic.name == chosen]
-        if nameless := [pose for pose in moving if not pose.child_frame_id]:
+        fixed = [item for item in transforms if item[1].is_static]
+        moving = [item for item in gathered if item[0].name == chosen]
+        if nameless := [pose for _, pose in moving if not pose.child_frame_id]:
             mountings = self._options.mountings()
             carrier = carrier_of(frame, nameless, known, mountings, chosen)
             moving = [
-                pose if pose.child_frame_id else replace(pose, child_frame_id=carrier)
-                for pose in moving
+                (topic, pose if pose.child_frame_id else replace(pose, child_frame_id=carrier))
+                for topic, pose in moving
             ]
         return self._with(fixed + moving)
 
-    def _with(self, poses: Iterable[Pose]) -> TransformBuffer:
+    def _with(self, poses: Iterable[tuple["Topic", Pose]]) -> TransformBuffer:
+        """Fill a buffer; `_moving` keeps what moves, to look for two bodies under one name."""
         buffer = self._buffer()
-        for pose in poses:
+        self._moving = []
+        for topic, pose in poses:
             buffer.add(pose)
+            if not pose.is_static:
+                self._moving.append((topic.name, pose))
         return buffer
+
+    def _tell_leaps(self, buffer: TransformBuffer, root: str, frame: str) -> None:
+        """Note transforms on the way from `root` to `frame` that are those of two bodies."""
+        used = buffer.edges_between(root, frame)
+        moving, self._moving = self._moving, []
+        for text in leap_notes(
+            item for item in moving if (item[1].frame_id, item[1].child_frame_id) in used
+        ):
+            self._recording.findings.note(text)
+            warnings.warn(text, PoseFrameWarning, stacklevel=3)
 
     def _missing(self, frame: str, buffer: TransformBuffer, reason: str) -> FormatError:
         edges = [f"{parent} -> {child}" for parent, child in buffer.edges()]
-        odometry = [t.name for t in self._recording.topics() if t.type in POSE_TYPES]
+        odometry = [t.name for t in self._recording.topics() if is_odometry(t)]
         moving = [child for (_, child), is_static in buffer.edges().items() if not is_static]
         mounting = f"'{moving[0]} {frame} x y z roll pitch yaw'" if moving else "..."
         cures = ["a frame with fixed_frame=FRAME"] if edges else []

@@ -94,6 +94,16 @@ class TransformBuffer:
         """Return every pair (parent, child), and whether it is static."""
         return {key: edge.static is not None for key, edge in self._edges.items()}
 
+    def edges_between(self, target: str, source: str) -> set[tuple[str, str]]:
+        """Return the pairs (parent, child) on the way between two frames.
+
+        Raises
+        ------
+        NoTransformError
+            The frames are not connected.
+        """
+        return {key for key, _ in self._path(target, source)}
+
     def root_of(self, frame: str) -> str:
         """Return the root of the tree that contains `frame`; `frame` itself if it has no parent."""
         parents = {child: parent for parent, child in self._edges}

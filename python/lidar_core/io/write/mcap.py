@@ -1,7 +1,7 @@
 """Writer of MCAP files with Foxglove's messages, for viewers and for `open_recording`."""
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import fields as fields_of
 from errno import EIO
@@ -14,12 +14,18 @@ from numpy.typing import NDArray
 from lidar_core.errors import InputError
 from lidar_core.extras import require
 from lidar_core.io.files.atomic import WrittenInBlock, check_place, commit, temporary_for
-from lidar_core.io.messages.foxglove import FOXGLOVE_TYPES, OWN_HEIGHT, OWN_SCANNER
+from lidar_core.io.messages.foxglove import FOXGLOVE_TYPES, OWN_CHILD, OWN_HEIGHT, OWN_SCANNER
 from lidar_core.io.messages.own_cloud import packed
 from lidar_core.io.rotations import quaternion_from_matrix
 from lidar_core.io.write.circle_scene import CircleScene
 from lidar_core.io.write.item import checked_message
-from lidar_core.io.write.topics import LASER_TOPIC, POSE_TOPIC, SCAN_TOPIC, STATIC_TOPIC
+from lidar_core.io.write.topics import (
+    LASER_TOPIC,
+    POSE_TOPIC,
+    SCAN_TOPIC,
+    STATIC_TOPIC,
+    own_topic,
+)
 from lidar_core.io.writers import register_writer
 from lidar_core.messages import LaserScan, Message, Pose, Scan
 from lidar_core.objects import Boxes, CircleElements, ShapeElements
@@ -36,8 +42,8 @@ class FoxgloveLog:
     """Log of scans, poses, tracks and maps as Foxglove's messages, on channels of one context.
 
     The files and servers of the context get them. Scans become PointCloud, 2D scans
-    LaserScan, poses FrameTransform (their covariances are not kept), tracks and circle maps
-    SceneUpdate.
+    LaserScan, poses FrameTransform or, those that are no transforms, PoseInFrame (their covariances
+    are not kept), tracks and circle maps SceneUpdate.
 
     Parameters
     ----------
@@ -45,14 +51,17 @@ class FoxgloveLog:
         Made by the caller.
     tracks_frame : str
         Frame that tracks are given in.
+    odometry : collection of str
+        Topics whose poses are no transforms; poses without child frame never are.
     """
 
-    def __init__(self, context: Any, *, tracks_frame: str) -> None:
+    def __init__(self, context: Any, *, tracks_frame: str, odometry: Collection[str] = ()) -> None:
         purpose = "Foxglove's messages"
         self._messages = require("foxglove.messages", extra="viz", purpose=purpose)
         self._channel_types = require("foxglove.channels", extra="viz", purpose=purpose)
         self._context = context
         self._tracks_frame = tracks_frame
+        self._odometry = odometry
         self._channels: dict[tuple[str, ...], Any] = {}
 
     def write(self, item: Message | Boxes, *, log_time_ns: int | None = None) -> None:
@@ -129,6 +138,17 @@ class FoxgloveLog:
 
     def _write_pose(self, pose: Pose, log_time: int) -> None:
         m = self._messages
+        if (own := own_topic(pose, self._odometry)) is not None:
+            position = self._vector(pose.matrix[:3, 3])
+            orientation = self._quaternion(quaternion_from_matrix(pose.matrix[:3, :3]))
+            place = m.PoseInFrame(
+                timestamp=self._stamp(pose.stamp_ns),
+                frame_id=pose.frame_id,
+                pose=m.Pose(position=position, orientation=orientation),
+            )
+            child = {OWN_CHILD: pose.child_frame_id} if pose.child_frame_id else NO_METADATA
+            self._channel("PoseInFrameChannel", own, child).log(place, log_time=log_time)
+            return
         message = m.FrameTransform(
             timestamp=self._stamp(pose.stamp_ns),
             parent_frame_id=pose.frame_id,
@@ -250,6 +270,8 @@ class McapWriter(FoxgloveLog, WrittenInBlock):
         which stays there if the process is killed or an error ends the block: recordings opened
         with `recover` read all scans except the last one, or, if scans are smaller than 256 KiB,
         except up to 256 KiB of the last ones. An older partial file is replaced.
+    odometry : collection of str
+        Topics whose poses are no transforms; poses without child frame never are.
 
     Raises
     ------
@@ -261,9 +283,16 @@ class McapWriter(FoxgloveLog, WrittenInBlock):
         foxglove-sdk is not installed.
     """
 
-    def __init__(self, path: str | Path, *, tracks_frame: str, is_live: bool = False) -> None:
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        tracks_frame: str,
+        is_live: bool = False,
+        odometry: Collection[str] = (),
+    ) -> None:
         foxglove = require("foxglove", extra="viz", purpose="writing MCAP")
-        super().__init__(foxglove.Context(), tracks_frame=tracks_frame)
+        super().__init__(foxglove.Context(), tracks_frame=tracks_frame, odometry=odometry)
         self._path, self._is_live = Path(path), is_live
         check_place(self._path)
         self._temporary = partial_path(self._path) if is_live else temporary_for(self._path)

@@ -1,6 +1,6 @@
 """Selection of the writer of a path by its ending."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 
 from lidar_core.errors import InputError
@@ -10,9 +10,9 @@ from lidar_core.io.writers import Write, writer_of
 from lidar_core.messages import Message
 
 WORLD = "world"
-KEEPS_ARRIVALS: dict[Write, Callable[[Path], McapWriter | RosWriter]] = {
-    write_mcap: lambda path: McapWriter(path, tracks_frame=WORLD),
-    write_ros: RosWriter,
+KEEPS_ARRIVALS: dict[Write, Callable[[Path, Collection[str]], McapWriter | RosWriter]] = {
+    write_mcap: lambda path, odometry: McapWriter(path, tracks_frame=WORLD, odometry=odometry),
+    write_ros: lambda path, odometry: RosWriter(path, odometry=odometry),
 }
 """Formats that have a time beside the message, for its arrival."""
 
@@ -46,7 +46,12 @@ def write_recording(path: str | Path, items: Iterable[Message]) -> None:
     writer_of(place, "messages")(place, items)
 
 
-def write_arrivals(path: str | Path, items: Iterable[tuple[Message, int | None]]) -> None:
+def write_arrivals(
+    path: str | Path,
+    items: Iterable[tuple[Message, int | None]],
+    *,
+    odometry: Collection[str] = (),
+) -> None:
     """Write scans and poses with the times at which they arrived, where the format keeps them.
 
     Parameters
@@ -55,6 +60,8 @@ def write_arrivals(path: str | Path, items: Iterable[tuple[Message, int | None]]
         Recording to write, as for `write_recording`.
     items : iterable of (Scan, LaserScan or Pose, int or None)
         Messages in the order of their arrivals, each with its time [ns]; None: its stamp.
+    odometry : collection of str
+        Topics whose poses are no transforms; poses without child frame never are.
 
     Raises
     ------
@@ -66,6 +73,6 @@ def write_arrivals(path: str | Path, items: Iterable[tuple[Message, int | None]]
     if (opened := KEEPS_ARRIVALS.get(writer.write)) is None:
         writer(place, (message for message, _ in items))
         return
-    with opened(place) as file:
+    with opened(place, odometry) as file:
         for message, arrival_ns in items:
             file.write(message, log_time_ns=arrival_ns)

@@ -1,7 +1,7 @@
 """Writers of ROS 1 bags and ROS 2 recordings, for `rosbag play` and `ros2 bag play`."""
 
 import shutil
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from lidar_core.io.write.topics import (
     POSE_TOPIC,
     SCAN_TOPIC,
     STATIC_TOPIC,
+    own_topic,
 )
 from lidar_core.io.writers import register_writer
 from lidar_core.messages import LaserScan, Message, Pose, Scan
@@ -43,6 +44,8 @@ class RosMessages:
     ----------
     version : int
         1 or 2.
+    odometry : collection of str
+        Topics whose poses are no transforms; poses without child frame never are.
 
     Attributes
     ----------
@@ -52,8 +55,8 @@ class RosMessages:
         Messages by their names.
     """
 
-    def __init__(self, version: int) -> None:
-        self._version = version
+    def __init__(self, version: int, odometry: Collection[str] = ()) -> None:
+        self._version, self._topics = version, odometry
         self.store = ros_store(version)
         self.types = self.store.types
 
@@ -77,6 +80,9 @@ class RosMessages:
             topic, message = item.topic or LASER_TOPIC, self._laser(item)
         elif item.covariance is not None:
             topic, message = item.topic or ODOMETRY_TOPIC, self._odometry(item)
+        elif (own := own_topic(item, self._topics)) is not None:
+            of = self._odometry if item.child_frame_id else self._stamped
+            topic, message = own, of(item)
         else:
             topic = STATIC_TOPIC if item.is_static else POSE_TOPIC
             message = self._transform(item)
@@ -141,13 +147,21 @@ class RosMessages:
         stamped = make["geometry_msgs/msg/TransformStamped"](header, pose.child_frame_id, transform)
         return make["tf2_msgs/msg/TFMessage"]([stamped])
 
-    def _odometry(self, pose: Pose) -> Any:
+    def _place(self, pose: Pose) -> Any:
         make = self.types
-        zero = make["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
-        place = make["geometry_msgs/msg/Pose"](
+        return make["geometry_msgs/msg/Pose"](
             make["geometry_msgs/msg/Point"](*pose.matrix[:3, 3].tolist()), self._rotation(pose)
         )
-        covariance = np.asarray(pose.covariance, np.float64).reshape(-1)
+
+    def _stamped(self, pose: Pose) -> Any:
+        header = self.header(pose.stamp_ns, pose.frame_id)
+        return self.types["geometry_msgs/msg/PoseStamped"](header, self._place(pose))
+
+    def _odometry(self, pose: Pose) -> Any:
+        make = self.types
+        zero, place = make["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0), self._place(pose)
+        given = np.zeros((6, 6)) if pose.covariance is None else pose.covariance
+        covariance = np.asarray(given, np.float64).reshape(-1)
         return make["nav_msgs/msg/Odometry"](
             self.header(pose.stamp_ns, pose.frame_id),
             pose.child_frame_id,
@@ -171,15 +185,17 @@ class RosMessages:
 class RosWriter(WrittenInBlock):
     """Writes scans and poses as they come; the recording appears when it is complete.
 
-    Scans become PointCloud2, 2D scans LaserScan, poses TFMessage or, those with a covariance,
-    Odometry. Leaving the `with` block completes the recording, also on Ctrl-C; any other error
-    leaves nothing behind.
+    Scans become PointCloud2, 2D scans LaserScan, poses TFMessage; those with a covariance become
+    Odometry, and those without child frame PoseStamped. Leaving the `with` block completes the
+    recording, also on Ctrl-C; any other error leaves nothing behind.
 
     Parameters
     ----------
     path : str or Path
         A ROS 1 bag, replaced if it is there, if the name ends in .bag; else the folder of a ROS 2
         recording (MCAP storage), which must not be there.
+    odometry : collection of str
+        Topics whose poses become Odometry in any case.
 
     Raises
     ------
@@ -189,14 +205,14 @@ class RosWriter(WrittenInBlock):
         rosbags is not installed.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, *, odometry: Collection[str] = ()) -> None:
         self._path = Path(path)
         self._version = 1 if self._path.suffix.lower() == ".bag" else 2
         if self._version == 2 and self._path.exists():
             raise InputError(f"{self._path}: exists already; a ROS 2 recording is a new folder")
         check_place(self._path)
         self._temporary = temporary_for(self._path)
-        self._messages = RosMessages(self._version)
+        self._messages = RosMessages(self._version, odometry)
         self._writer = self._open_writer()
         self._connections: dict[tuple[str, str], Any] = {}
         self._waiting: list[Message] = []
