@@ -13,6 +13,7 @@ from lidar_core.errors import FormatError, InputError
 from lidar_core.evaluation.bins import norms
 from lidar_core.evaluation.config import EvaluationConfig
 from lidar_core.evaluation.matching.interpolation import columns_at_scans, supposed_scans
+from lidar_core.evaluation.matching.overlap import sides
 from lidar_core.evaluation.matching.pairing import checked_estimates, checked_truth, rows_of
 from lidar_core.evaluation.metrics.latency import Latency
 from lidar_core.evaluation.types import Estimates, Truth
@@ -156,8 +157,10 @@ def read_truth(
         Leave out heights, because the estimates have none.
     run : Prediction, optional
         Run to compare. If the truth has other times than its scans and is not sparser, its
-        values are interpolated to the times of the scans (`Truth.is_interpolated`). If all its
-        heights are zero, the truth needs no z.
+        values are interpolated to the times of the scans (`Truth.is_interpolated`). Targets before
+        its first and after its last scan are left out, if its scans are known and some targets are
+        between them (`Truth.n_before`, `n_after`). If all its heights are zero, the truth needs no
+        z.
 
     Raises
     ------
@@ -171,7 +174,11 @@ def read_truth(
     if is_planar or _needs_no_heights(place, columns, run):
         columns = _flat(columns)
     _rows(place, columns, AXES)
+    scans = None if run is None else run.scan_ns
+    side = sides(_integers(place, columns, "t_ns"), scans, config.time_tolerance)
     columns, is_interpolated, scan_ns = _at_scans(place, columns, run, config)
+    if is_interpolated is None:  # else it is at the scans alone
+        columns = {name: column[side == 0] for name, column in columns.items()}
     stamps, numbers = _integers(place, columns, "t_ns"), _integers(place, columns, _id_in(columns))
     position, velocity = _rows(place, columns, AXES), _rows_if_known(place, columns, RATES)
     sensor = _rows_if_known(place, columns, tuple(f"sensor_{axis}" for axis in AXES))
@@ -183,7 +190,10 @@ def read_truth(
         counts &= _integers(place, columns, "hits") >= config.min_hits
     if sensor is not None:
         counts &= norms(position - sensor) <= config.max_distance
-    table = Truth(stamps, numbers, position, counts, velocity, sensor, radius, is_interpolated)
+    beyond = int((side < 0).sum()), int((side > 0).sum())
+    table = Truth(
+        stamps, numbers, position, counts, velocity, sensor, radius, is_interpolated, *beyond
+    )
     try:
         return checked_truth(table)
     except InputError as error:

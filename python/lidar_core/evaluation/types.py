@@ -33,6 +33,8 @@ class Truth:
     is_interpolated : ndarray, shape (R,), bool, optional
         True if the position was interpolated to the time of the scan. None if the targets are at
         the times that the file has.
+    n_before, n_after : int
+        Rows of the file before the first and after the last scan of the run, which were left out.
     """
 
     stamp_ns: NDArray[np.int64]
@@ -43,6 +45,8 @@ class Truth:
     sensor: NDArray[np.float64] | None = None
     radius: NDArray[np.float64] | None = None
     is_interpolated: NDArray[np.bool_] | None = None
+    n_before: int = 0
+    n_after: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -84,6 +84,29 @@ def test_from_a_scene_to_scores(place):
     assert values["tracks_without_truth"] == 0
 
 
+def test_a_part_is_scored_over_its_own_time(place, tmp_path):
+    words = ("detect", place / "yard.npz", "-o", tmp_path / "part", "--no-picture")
+    assert invoke(*words, "--start", 0.4, "--end", 1.5).exit_code == 0
+    out = invoke("evaluate", tmp_path / "part", place / "yard.truth.csv")
+    values = result_of(tmp_path / "part", place / "yard.truth.csv")
+    scans = values["latency_ms"]["total"]["count"]
+    left_out = values["truth_before_run"], values["truth_after_run"]
+    assert scans < SCANS
+    assert min(left_out) > 0
+    assert sum(left_out) == SCANS - scans
+    assert values["track_scores"]["n_eligible"] == max(scans - BURN_IN, 0)
+    assert f"note: {left_out[0]} true positions before the first scan of the run and" in out.stdout
+    assert f"{left_out[1]} after its last scan are left out" in out.stdout
+
+
+def test_a_table_of_a_part_says_what_lies_outside_its_time(place):
+    values = result_of(place / "run" / "tracks_tum", place / "yard.truth.csv", "--burn-in", 0)
+    assert values["truth_outside_tracks"] >= BURN_IN
+    assert values["truth_before_run"] == values["truth_after_run"] == 0
+    out = invoke("evaluate", place / "run" / "tracks_tum", place / "yard.truth.csv", "--burn-in", 0)
+    assert f"note: {values['truth_outside_tracks']} of {SCANS} true" in out.stdout
+
+
 def test_the_recording_stands_for_the_truth_beside_it(place):
     again = result_of(place / "run", place / "yard.npz")
     expected = result_of(place / "run", place / "yard.truth.csv")

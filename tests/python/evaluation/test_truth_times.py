@@ -103,7 +103,7 @@ def test_a_run_that_lost_scans_missed_them(tmp_path):
     assert (scores.n_found, scores.n_eligible) == (37, 40)
 
 
-@pytest.mark.parametrize("lost", [slice(3, 20), slice(0, 40, 3)])
+@pytest.mark.parametrize("lost", [slice(3, 20), slice(1, 40, 3)])
 def test_a_run_that_lost_many_scans_missed_them(tmp_path, lost):
     """As live drops them, or as a run of many targets has states only where there are tracks."""
     path = write(tmp_path / "exact.csv", SCANS)
@@ -112,6 +112,33 @@ def test_a_run_that_lost_many_scans_missed_them(tmp_path, lost):
         truth, scores = scores_of(path, perfect(scans, known))
         assert truth.is_interpolated is None
         assert (scores.n_found, scores.n_eligible) == (len(scans), 40)
+
+
+def test_a_part_of_a_recording_is_scored_over_its_scans(tmp_path):
+    path = write(tmp_path / "exact.csv", SCANS, targets=(0, 1))
+    truth, scores = scores_of(path, perfect(SCANS[10:25], SCANS[10:25]), burn_in_scans=3)
+    assert (truth.n_before, truth.n_after) == (20, 30)
+    # Target 1 is found in none of the scans, and the burn-in is that of the part.
+    assert (scores.n_found, scores.n_eligible) == (12, 24)
+
+
+def test_a_part_of_a_denser_truth_is_counted_in_its_rows(tmp_path):
+    path = write(tmp_path / "dense.csv", np.arange(0, SCANS[-1] + 1, 10 * MS))
+    truth, scores = scores_of(path, perfect(SCANS[10:25], SCANS[10:25]))
+    assert (truth.n_before, truth.n_after) == (100, 150)
+    assert (scores.n_found, scores.n_eligible) == (15, 15)
+
+
+def test_a_target_that_is_lost_early_is_missed_up_to_the_last_scan(tmp_path):
+    path = write(tmp_path / "exact.csv", SCANS)
+    truth, scores = scores_of(path, perfect(SCANS[10:15], SCANS[10:25]))
+    assert (truth.n_before, truth.n_after) == (10, 15)
+    assert (scores.n_found, scores.n_eligible) == (5, 15)
+
+
+def test_the_truth_of_another_recording_is_not_left_out(tmp_path):
+    truth = read_truth(write(tmp_path / "other.csv", SCANS + 10**12), run=perfect())
+    assert (len(truth.id), truth.n_before, truth.n_after) == (len(SCANS), 0, 0)
 
 
 def test_a_table_at_uneven_times_keeps_its_truth(tmp_path):

@@ -92,6 +92,7 @@ def command(
     without = _without_truth(prediction, truth, config, f"{predicted} and {true}")
     _print(out, report, config, f"{predicted} against {true}")
     interpolated = _print_interpolated(out, truth)
+    outside = _print_outside(out, prediction, truth)
     warnings = _print_warnings(out, report, without)
     write_json(
         {
@@ -101,6 +102,9 @@ def command(
             "config": config.model_dump(mode="json"),
             "tracks_without_truth": without,
             "truth_interpolated": interpolated,
+            "truth_before_run": truth.n_before,
+            "truth_after_run": truth.n_after,
+            "truth_outside_tracks": outside,
             **report.to_dict(),
             "warnings": warnings,
         },
@@ -129,6 +133,35 @@ def _print_interpolated(out: "Console", truth: "Truth") -> int:
         " scans are interpolated",
         highlight=False,
     )
+    return count
+
+
+def _print_outside(out: "Console", prediction: "Prediction", truth: "Truth") -> int:
+    """Print what of the truth no scan or no track is near; return the positions that count missed.
+
+    The scans of a run folder are known: what is before and after them is left out. Of a table only
+    the times of tracks are known: a tracker may have lost its target.
+    """
+    if truth.n_before or truth.n_after:
+        out.print(
+            f"note: {truth.n_before} true positions before the first scan of the run and"
+            f" {truth.n_after} after its last scan are left out",
+            highlight=False,
+            soft_wrap=True,
+        )
+    ours = prediction.tracks.stamp_ns
+    if prediction.scan_ns is not None or not len(ours):
+        return 0
+    outside = (truth.stamp_ns < ours.min()) | (truth.stamp_ns > ours.max())
+    count = int((outside & truth.is_eligible).sum())
+    if count:
+        out.print(
+            f"note: {count} of {int(truth.is_eligible.sum())} true positions that count are before"
+            " the first or after the last time of the tracks: they count as missed. The table does"
+            " not tell whether there were scans; a run folder does",
+            highlight=False,
+            soft_wrap=True,
+        )
     return count
 
 

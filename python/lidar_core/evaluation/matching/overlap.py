@@ -111,3 +111,31 @@ def _of_places(estimates: Estimates, truth: Truth, config: EvaluationConfig, wha
         f" ({places[0]}), targets about ({places[1]}): are both in one frame? gate=METRES widens"
         " the gate"
     )
+
+
+def sides(
+    stamps: NDArray[np.int64], scan_ns: NDArray[np.int64] | None, tolerance: float
+) -> NDArray[np.int64]:
+    """Return -1 for times before the first scan, 1 for those after the last one, else 0.
+
+    Parameters
+    ----------
+    stamps : ndarray, shape (K,), int64
+        Times [ns].
+    scan_ns : ndarray, shape (S,), int64, or None
+        Times of the scans [ns], increasing; None or empty: unknown, no time is beyond them.
+    tolerance : float
+        A time at most this far from a scan is one of this scan [s].
+
+    Returns
+    -------
+    sides : ndarray, shape (K,), int64
+        All 0 if no time is between the scans: the times are those of another recording.
+    """
+    found = np.zeros(len(stamps), np.int64)
+    if scan_ns is None or not len(scan_ns):
+        return found
+    reach = round(1e9 * tolerance)
+    found[stamps < scan_ns[0] - reach] = -1
+    found[stamps > scan_ns[-1] + reach] = 1
+    return found if not found.all() else np.zeros(len(stamps), np.int64)

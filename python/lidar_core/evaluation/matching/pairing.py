@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -147,11 +147,11 @@ def _places(truth: Truth, rows: Rows, delays: NDArray[np.float64]) -> NDArray[np
 
 def rows_of(table: TableT, which: NDArray[np.bool_] | Rows) -> TableT:
     """Return the table with these rows only."""
-    columns = {name: getattr(table, name) for name in table.__slots__}
-    return replace(
-        table,
-        **{name: column[which] for name, column in columns.items() if column is not None},
-    )
+    values = {name: getattr(table, name) for name in table.__slots__}
+    columns: dict[str, Any] = {
+        name: one[which] for name, one in values.items() if isinstance(one, np.ndarray)
+    }
+    return replace(table, **columns)
 
 
 def numbers_of(tracks: Estimates) -> Rows:
@@ -180,6 +180,8 @@ def checked_truth(truth: Truth) -> Truth:
         is_interpolated=None
         if truth.is_interpolated is None
         else as_mask(truth.is_interpolated, name="truth.is_interpolated", rows=rows),
+        n_before=truth.n_before,
+        n_after=truth.n_after,
     )
 
 
