@@ -1,7 +1,8 @@
 """Results of the jobs of a batch: a file job.json in every folder, and one table of all jobs."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, Self, TypeAlias
@@ -9,11 +10,14 @@ from typing import Any, Literal, Self, TypeAlias
 from lidar_core.files import check_regular
 from lidar_core.io.files.atomic import written_whole
 from lidar_core.io.tables.long_table import write_long_table
+from lidar_core.util.reasons import kind_of
 
 NOTE = "job.json"
 Status: TypeAlias = Literal["running", "done", "failed"]
 FIRST = ("job", "group", "key", "status", "seconds", "error")
 """Columns that every table of results has."""
+BY_REASON = frozenset({"without_pose", "rejected", "invalid"})
+"""Results of commands that are counts by reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,8 +84,17 @@ class JobRecord:
 
 
 def flat(value: Any, path: str = "") -> dict[str, Any]:
-    """Flatten nested results: values by dotted path, rows of a list by name."""
+    """Flatten nested results: values by dotted path, rows of a list by name.
+
+    Counts by reason also have their sum. Reasons that differ only in their numbers, such as stamps,
+    are one, with # for each number: runs of many recordings then share columns.
+    """
     if isinstance(value, Mapping):
+        if path.rpartition(".")[2] in BY_REASON and _are_counts(value.values()):
+            kinds: Counter[str] = Counter()
+            for reason, count in value.items():
+                kinds[f"{path}.{kind_of(str(reason))}"] += count
+            return {path: kinds.total(), **kinds}
         items = [(str(name), inner) for name, inner in value.items()]
     elif isinstance(value, list) and all(isinstance(item, Mapping) for item in value):
         rows = [dict(item) for item in value if "name" in item]
@@ -94,6 +107,10 @@ def flat(value: Any, path: str = "") -> dict[str, Any]:
     for name, inner in items:
         found |= flat(inner, f"{path}.{name}" if path else name)
     return found
+
+
+def _are_counts(values: Iterable[Any]) -> bool:
+    return all(isinstance(value, int) and not isinstance(value, bool) for value in values)
 
 
 def write_results(path: Path, records: Sequence[JobRecord]) -> Path:

@@ -220,6 +220,31 @@ def test_rows_of_a_list_go_by_their_names():
     assert flat(rows) == {"rows.recall@10m.paper": None, "rows.recall@10m.best_mode": 0.5}
 
 
+def test_counts_by_reason_have_a_sum_and_a_column_per_kind_of_reason(tmp_path):
+    """Of two recordings, whose reasons name their own stamps."""
+    reason = "world -> laser is known from {} to {} ns, not at {} ns ({} s before the first)"
+    told = [
+        {"without_pose": {reason.format(5, 9, 3, 0.723): 2, reason.format(5, 9, 4, 0.1): 1}},
+        {"without_pose": {reason.format(-5, 80, 1, 1e-3): 4, "no scans": 1}},
+        {"without_pose": {}, "scans": {"rejected": {"stamp_ns: expected > 7, got 3": 2}}},
+    ]
+    made = [
+        JobRecord(str(n), "g", "k", "done", numbers=flat(one, "detect"))
+        for n, one in enumerate(told)
+    ]
+    table = read_columns(write_results(tmp_path / "r.csv", made))
+    kind = "detect.without_pose." + reason.format("#", "#", "#", "#")
+    assert list(table)[6:] == [
+        "detect.without_pose",
+        kind,
+        "detect.without_pose.no scans",
+        "detect.scans.rejected",
+        "detect.scans.rejected.stamp_ns: expected > #, got #",
+    ]
+    assert table["detect.without_pose"].tolist() == [3, 5, 0]
+    assert [int(count) for count in table[kind][:2]] == [3, 4]
+
+
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
 def test_the_table_has_a_column_per_number(tmp_path, suffix):
     if suffix == ".parquet":

@@ -26,6 +26,7 @@ from lidar_core.runs.result import MCAP, Picture
 from lidar_core.runs.scans.standing import StandingCheck
 from lidar_core.runs.scans.times import ScanTimes
 from lidar_core.sensors import LONGEST_3D, far_median, far_text
+from lidar_core.util.reasons import first_of_kind
 from lidar_core.viz import FlyingView, draw_flying
 from lidar_core.viz.scan_log import log_flying
 
@@ -90,7 +91,7 @@ class FlyingRun:
         start = perf_counter()
         frame = self.detector.process(item)
         if frame.rejected is not None:
-            self.rejected[frame.rejected] += 1
+            self.rejected[first_of_kind(self.rejected, frame.rejected)] += 1
         else:
             self.keep(item, frame, (perf_counter() - start) * 1e3)
         return frame
