@@ -155,6 +155,8 @@ class LiveLoop(Generic[ScanT]):
         }
 
     def _read(self, batch: Batch) -> None:
+        for reason in batch.refused:
+            self._reject(reason)
         for arrival in batch.poses:
             self._file(arrival, self._decoded(arrival))
         for arrival in batch.scans:

@@ -5,6 +5,7 @@ import socket
 import struct
 import threading
 import time
+from collections import Counter
 from contextlib import closing
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
@@ -14,12 +15,15 @@ from ros_files import packets_of
 
 import lidar_core.io as lc_io
 from lidar_core.errors import FormatError, LinkError
-from lidar_core.io import ReadOptions
+from lidar_core.io import PoseOptions, ReadOptions
 from lidar_core.io.files.udp import datagrams
 from lidar_core.io.messages.livox_packets import LivoxStream
 from lidar_core.io.messages.velodyne import VelodyneStream
 from lidar_core.io.ouster.stream import OusterStream, sensor_at
 from lidar_core.io.records import Findings
+from lidar_core.live.config import LiveConfig
+from lidar_core.live.loop import LiveLoop
+from lidar_core.live.poses import LivePoses
 from lidar_core.live.sources.inbox import Inbox
 from lidar_core.live.sources.sensor_clock import SensorClock
 from lidar_core.live.sources.udp import UdpSource
@@ -111,6 +115,36 @@ def test_packets_of_an_ouster_give_the_scans_of_their_capture(recordings):
     )
     assert abs(live.stamp_ns - time.time_ns()) < 60 * 10**9
     assert any("PTP" in note for note in notes)
+
+
+def test_frames_that_an_ouster_sends_again_are_rejected_with_a_reason(recordings):
+    """As of a capture of one scan, sent in a loop."""
+    path = recordings / f"{DRIVE}.pcap"
+    sensor = sensor_at(str(path.with_name("OS-1-128_v2.3.0_1024x10.json")), ReadOptions())
+    stream = OusterStream(sensor, ReadOptions(), Findings())
+    packets = [item.data for item in datagrams(path)]
+    source, told = UdpSource(0, lambda _: stream), []
+    with closing(source):
+        loop = LiveLoop(
+            source,
+            lambda _: None,
+            LivePoses(PoseOptions(pose="static"), LiveConfig()),
+            [],
+            LiveConfig(),
+            on_reason=told.append,
+        )
+        for packet in packets * 3:
+            source._take(packet, loop.inbox)
+        loop._read(loop.inbox.take(0.0))
+    assert loop.stats.rejected.total() == 2 * sum_of_frames(stream, packets)
+    assert len(loop.stats.rejected) == len(told) == 1
+    assert "came again, or after a later one" in told[0]
+
+
+def sum_of_frames(stream, packets):
+    """Number of frames of which most packets are there."""
+    numbers = [stream._layout.frame_number(one) for one in packets if stream._layout.is_lidar(one)]
+    return sum(count > 32 for count in Counter(numbers).values())
 
 
 def test_the_sensor_itself_tells_its_metadata(recordings):

@@ -201,6 +201,8 @@ class FrameCollector:
         Layout of the packets.
     late : int
         Packets that were dropped.
+    refused : int
+        Frames of which more than half of the packets came after a later frame, or once more.
     """
 
     def __init__(self, layout: PacketLayout) -> None:
@@ -213,7 +215,8 @@ class FrameCollector:
         self._packets: list[bytes] = []
         self._number: int | None = None
         self._is_done = False
-        self.late = 0
+        self._dropped: tuple[int, int] = 0, 0  # number of a frame, and packets of it
+        self.late = self.refused = 0
 
     def add(self, packet: bytes) -> list[Frame]:
         """Process a packet; return the frames that it completes: the one before, or its own."""
@@ -222,10 +225,12 @@ class FrameCollector:
         if number != self._number:
             if self._is_late(number):
                 self.late += 1
+                self._drop(number)
                 return done
             done += self.rest()
             self._number, self._is_done = number, False
         elif self._is_done:
+            self._drop(number)
             return done  # a packet that came twice
         self._packets.append(packet)
         if len(self._packets) >= self._expected:
@@ -244,6 +249,14 @@ class FrameCollector:
             return []
         packets, self._packets = self._packets, []
         return [self.layout.frame(packets)]
+
+    def _drop(self, number: int) -> None:
+        """Count a dropped packet: single ones are usual, whole frames are not."""
+        before, count = self._dropped
+        count = count + 1 if number == before else 1
+        if count == self._expected // 2 + 1:
+            self.refused += 1
+        self._dropped = number, count % self._expected  # the frame may come again and again
 
     def _is_late(self, number: int) -> bool:
         if self._number is None:

@@ -43,6 +43,10 @@ def sensor_at(place: str, options: ReadOptions) -> Sensor:
     return parse_sensor(text, address, max_points=most)
 
 
+class RepeatedFrameError(FormatError):
+    """A frame of a sensor came again, or after a later one, so it gives no scan."""
+
+
 class OusterStream:
     """Decoder of packets as they arrive over the network; one scan for every frame.
 
@@ -67,6 +71,8 @@ class OusterStream:
         ------
         FormatError
             The bytes are no packet of this sensor.
+        RepeatedFrameError
+            Most packets of a frame were dropped, up to this one.
         """
         del stamp_ns  # the sensor's own are better
         layout = self._layout
@@ -78,6 +84,13 @@ class OusterStream:
         serial, known = layout.serial(packet), layout.sensor.serial
         if serial != known and None not in (serial, known):
             raise FormatError(f"{place}: packets are of sensor {serial}, not of {known}")
+        refused = self._collector.refused
+        frames = self._collector.add(packet)
+        if self._collector.refused > refused:
+            raise RepeatedFrameError(
+                f"{TOPIC}: frame {layout.frame_number(packet)} came again, or after a later one (a"
+                " capture that is sent in a loop, or a second sender)"
+            )
         scans = [
             scan_of(
                 layout.sensor,
@@ -86,7 +99,7 @@ class OusterStream:
                 frame_id=SENSOR_FRAME,
                 destagger=self._options.destagger,
             )
-            for frame in self._collector.add(packet)
+            for frame in frames
         ]
         # Two at once are the rest of a frame that lost packets, and a frame of one packet.
         return next((scan for scan in reversed(scans) if scan is not None), None)

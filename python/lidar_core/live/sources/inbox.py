@@ -29,11 +29,14 @@ class Batch:
         Poses in their order; the newest scan of every topic.
     is_finished : bool
         Nothing more will come.
+    refused : list of str
+        Reason of every scan that the source refused.
     """
 
     poses: list[Arrival] = field(default_factory=list)
     scans: list[Arrival] = field(default_factory=list)
     is_finished: bool = False
+    refused: list[str] = field(default_factory=list)
 
 
 class Inbox:
@@ -63,6 +66,7 @@ class Inbox:
         self._tape = tape
         self._poses: deque[Arrival] = deque()
         self._scans: dict[str, Arrival] = {}
+        self._refused: list[str] = []
         self._error: Exception | None = None
         self._is_finished = False
         self._changed = Condition()
@@ -93,6 +97,13 @@ class Inbox:
         with self._changed:
             self.rejected[topic] += 1
 
+    def refuse(self, topic: str, reason: str) -> None:
+        """Count a scan that cannot be used."""
+        with self._changed:
+            self.heard.add(topic)
+            self._refused.append(reason)
+            self._changed.notify()
+
     def fail(self, error: Exception) -> None:
         """End the run with an error."""
         with self._changed:
@@ -118,9 +129,10 @@ class Inbox:
             if self._error is not None:
                 raise self._error
             batch = Batch(list(self._poses), list(self._scans.values()), self._is_finished)
+            batch.refused, self._refused = self._refused, []
             self._poses.clear()
             self._scans.clear()
             return batch
 
     def _has_news(self) -> bool:
-        return bool(self._poses or self._scans or self._error or self._is_finished)
+        return bool(self._poses or self._scans or self._refused or self._error or self._is_finished)

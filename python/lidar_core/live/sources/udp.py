@@ -7,6 +7,7 @@ from threading import Event, Thread
 from typing import Protocol
 
 from lidar_core.errors import FormatError, LinkError
+from lidar_core.io.ouster.stream import RepeatedFrameError
 from lidar_core.io.records import Findings, Record, Topic, decoded
 from lidar_core.live.sources.inbox import Inbox
 from lidar_core.live.sources.sensor_clock import SensorClock
@@ -32,7 +33,15 @@ class PacketStream(Protocol):
     topic: Topic
 
     def scan(self, stamp_ns: int, packet: bytes, *, place: str) -> Scan | None:
-        """Return the scan that a packet completes; FormatError for a packet of another kind."""
+        """Return the scan that a packet completes.
+
+        Raises
+        ------
+        RepeatedFrameError
+            With this packet it is clear that a scan came again, or too late.
+        FormatError
+            The packet is of another kind.
+        """
 
 
 class UdpSource(Source):
@@ -124,6 +133,9 @@ class UdpSource(Source):
         arrival_ns = time.time_ns()
         try:
             scan = self._stream.scan(arrival_ns, packet, place=self.name)
+        except RepeatedFrameError as error:
+            inbox.refuse(self._stream.topic.name, str(error))
+            return
         except FormatError as error:
             inbox.reject(self.name)
             self.findings.note(str(error))

@@ -103,6 +103,26 @@ def test_a_lost_packet_leaves_its_columns_out():
     assert frames[1].is_received.all()
 
 
+@pytest.mark.parametrize("length", [1, 2, 3])
+def test_frames_that_come_again_are_counted(length):
+    """A capture of a few frames, sent in a loop: all its frames look late or repeated."""
+    collector = FrameCollector(PacketLayout(sensor(), "a"))
+    loop = [one for number in range(length) for one in packets(number)]
+    found = [len(collector.add(one)) for _ in range(4) for one in loop]
+    assert sum(found) == length
+    assert collector.refused == 3 * length
+
+
+def test_single_packets_that_come_again_are_no_frame():
+    collector = FrameCollector(PacketLayout(sensor(), "a"))
+    for number in range(1, 5):
+        first, *rest = packets(number)
+        for one in [first, *rest, rest[0], *packets(number - 1)[:2]]:
+            collector.add(one)
+    assert collector.late == 8
+    assert collector.refused == 0
+
+
 def test_a_late_packet_is_dropped_and_does_not_end_the_frame():
     late_one = packets(1)[-1]
     first, *rest = packets(2)
