@@ -30,6 +30,8 @@ class ScanRun(Resumable, Protocol[ScanT]):
     """A pipeline with its results so far."""
 
     frame_id: str
+    is_whole: bool
+    """False if an error or Ctrl-C ended the run early."""
 
     @property
     def n_received(self) -> int:
@@ -123,6 +125,7 @@ class RecordingJob(Generic[ScanT]):
         )
         with source:
             ended_by = self._process(source, run)
+            run.is_whole = ended_by is None
             if not run.n_received:
                 self.folder.begin()
             summary: dict[str, Any] = {

@@ -142,6 +142,27 @@ def test_a_short_recording_says_which_gate_stayed_closed(recording, tmp_path):
     assert "burn-in" not in out.output
 
 
+def test_a_run_that_an_error_ended_is_not_advised_to_repeat(recording, tmp_path):
+    """A damaged file among those of a folder: the scans before it are kept."""
+    folder = tmp_path / "scans"
+    folder.mkdir()
+    with open_recording(recording) as opened:
+        clouds = [item.scan.points.reshape(-1, 3) for item in posed_scans(opened)][:4]
+    clouds = [points[np.isfinite(points).all(axis=1)] for points in clouds]
+    for number, points in enumerate(clouds):
+        write_cloud(folder / f"{number}.pcd", points)
+    whole = (folder / "2.pcd").read_bytes()
+    (folder / "2.pcd").write_bytes(whole[: len(whole) // 2])
+    out = run_command(folder, "-o", tmp_path / "run", "--pose", "static", "--no-picture")
+    assert isinstance(out.exception, FormatError)
+    assert "1 of 4 files cannot be read: 2.pcd" in str(out.exception)
+    assert "--repeat" not in out.output
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["scans"]["processed"] == 2
+    assert "2.pcd" in summary["ended_early"]
+    assert not any("repeat" in note for note in summary["notes"])
+
+
 def scaled(recording, path, factor, *, scans):
     """The first scans of a recording with other lengths, from one place."""
     with open_recording(recording) as opened:

@@ -92,7 +92,7 @@ class CirclesRun:
     ) -> None:
         self.pipeline = pipeline
         self._allow_untrusted = allow_untrusted
-        self.frame_id = "world"
+        self.frame_id, self.is_whole = "world", True
         self.maps: list[CircleElements] = []
         self.shapes: list[ShapeElements] = []
         self._picture, self._film = picture, film

@@ -73,7 +73,7 @@ class FlyingRun:
         self.sky = "unknown"
         self._shares: list[tuple[float, float]] = []
         self.rejected: Counter[str] = Counter()
-        self.frame_id = "world"
+        self.frame_id, self.is_whole = "world", True
         self._class_counts = np.zeros(len(PointClass), np.int64)
         self.frames: list[FlyingFrame] = []
         self._wall_ms: list[float] = []
@@ -187,7 +187,7 @@ class FlyingRun:
                 f" farthest from the sensor first; set voxel_map.max_voxels={4 * budget} keeps"
                 " more, set forget_distance=METRES keeps less"
             )
-        if self.frames and self.frames[-1].status.is_burn_in:
+        if self.is_whole and self.frames and self.frames[-1].status.is_burn_in:
             found.append(
                 f"{self.gate_reason}: the run ended before detections are reported; repeat=N plays"
                 " a short recording N times, so that it completes the burn-in"
