@@ -48,6 +48,7 @@ def command(
 
     from lidar_core.io.remote import fetched, is_remote
     from lidar_core.runs.catalogue import columns_named, matching_rows, read_table
+    from lidar_core.runs.catalogue.names import listed_columns
 
     if output is not None:
         _check_output(output, overwrite=overwrite)
@@ -63,7 +64,8 @@ def command(
     lines = aligned({name: _texts(rows[name][:MOST_ROWS]) for name in shown})
     out.print("\n".join(lines), markup=False, highlight=False, soft_wrap=True)
     more = f", the first {MOST_ROWS} are shown (-o FILE.csv: all)" if count > MOST_ROWS else ""
-    out.print(f"{count} of {total} rows{more}; columns: {', '.join(columns)}", soft_wrap=True)
+    told = listed_columns(list(columns) if query == "all" else shown, len(columns))
+    out.print(f"{count} of {total} rows{more}; columns: {told}", soft_wrap=True, markup=False)
     if total and (unknown := _unknown(columns, query)):
         errors.print(f"note: {', '.join(unknown)}: unknown in all rows", highlight=False)
     for note in _absent(columns, query) if total and query != "all" else ():

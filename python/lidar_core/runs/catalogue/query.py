@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.batch.results import NOTE, JobRecord
-from lidar_core.errors import ConfigError, FormatError, unknown
+from lidar_core.errors import ConfigError, FormatError
 from lidar_core.io.tables.columns import Columns, read_columns, read_tables, tables_of
 from lidar_core.run_folder import RUN_FILE, table_in
+from lidar_core.runs.catalogue.names import unknown_column
 from lidar_core.runs.catalogue.objects import events_of
 from lidar_core.runs.catalogue.syntax import (
     text_of,
@@ -204,7 +205,7 @@ def _value(node: ast.expr, columns: Columns, query: str, depth: int) -> Any:
             value = node.value
         case ast.Name():
             if node.id not in columns:
-                raise ConfigError(f"query: {unknown('column', node.id, list(columns))}")
+                raise ConfigError(f"query: {unknown_column(node.id, columns)}")
             value = columns[node.id]
         case ast.Tuple() | ast.List():
             value = [of(one) for one in node.elts]

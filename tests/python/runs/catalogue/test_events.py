@@ -435,3 +435,52 @@ def test_words_inside_a_text_are_no_columns(tmp_path):
     assert columns_named("event in ('speed', \"x\") and not -distance < 2") == {"event", "distance"}
     with pytest.raises(ConfigError, match="cannot read"):
         columns_named("distance <")
+
+
+WIDE = [
+    *("detect.points", "detect.scans_moving", "detect.tracks", "detect.scans.received"),
+    *(f"detect.ms_per_scan.stage_{number}" for number in range(60)),
+    *("evaluate.track_scores.recall", "evaluate.detection_scores.recall"),
+]
+"""Columns as those of a batch."""
+
+
+@pytest.mark.parametrize(
+    ("wrong", "right"),
+    [
+        ("detect.moving_scans", "detect.scans_moving"),
+        ("detect.track", "detect.tracks"),
+        ("evaluate.tracks.recall", "evaluate.track_scores.recall"),
+        ("Detect.Points", "detect.points"),
+        ("scans_received", "detect.scans.received"),
+    ],
+)
+def test_a_wrong_name_is_told_the_nearest_columns_of_many(wrong, right):
+    """By their words, in any order: not only by their letters, and never all columns."""
+    table = {name: np.zeros(1) for name in WIDE}
+    with pytest.raises(ConfigError) as refused:
+        matching_rows(table, f"{wrong} > 0")
+    text = str(refused.value)
+    assert text.startswith(f"query: column: expected one of {right}, ")
+    assert text.endswith(f", got {wrong!r}; did you mean {right}?")
+    assert f"and {len(WIDE) - 10} others (`lidar-core events all TABLE` lists them)" in text
+    assert len(text) < 500
+
+
+def test_a_name_that_is_like_none_has_no_suggestion():
+    table = {name: np.zeros(1) for name in WIDE}
+    with pytest.raises(ConfigError, match=r"got 'zzz'$"):
+        matching_rows(table, "zzz > 0")
+    with pytest.raises(ConfigError, match=r"expected one of none, got 'a'$"):
+        matching_rows({}, "a > 0")
+
+
+def test_the_columns_of_a_wide_table_are_listed_on_demand_alone(tmp_path):
+    path = tmp_path / "results.csv"
+    path.write_text(",".join(WIDE) + "\n" + ",".join("1" for _ in WIDE) + "\n")
+    footer = invoke("events", "detect.tracks > 0", path).stdout.splitlines()[-1]
+    assert footer.startswith("1 of 1 rows; columns: detect.points, ")
+    assert footer.endswith(
+        f"and {len(WIDE) - 11} others (`lidar-core events all TABLE` lists them)"
+    )
+    assert invoke("events", "all", path).stdout.endswith(f"columns: {', '.join(WIDE)}\n")
