@@ -14,13 +14,15 @@ from lidar_core.messages import Pose
 
 LEAST_LEAP = 0.1
 """Shorter steps are noise, or motion [m]."""
-AROUND = 3
+AROUND = 2
 """Poses after a leap among which one is near its start, or before it, near its end."""
 BACK_SHARE, ON_SHARE = 1 / 3, 1.2
 """How near it is, as a share of the leap: the body may have moved meanwhile. Beyond the larger
 share the step was a part of the motion, and no leap."""
-LEAST_RETURNS, LEAST_LEAPS, LEAST_SHARE = 0.8, 4, 0.05
+LEAST_RETURNS, LEAST_LEAPS, LEAST_SHARE = 0.8, 6, 0.05
 """Share of the leaps that come back; leaps, and their share of all steps."""
+LONGER = 3.0
+"""How many times longer than the other steps leaps are: a body that turns back also comes back."""
 
 
 def leaps(stamps_ns: NDArray[np.int64], positions: NDArray[np.float64]) -> tuple[int, float]:
@@ -61,7 +63,11 @@ def leaps(stamps_ns: NDArray[np.int64], positions: NDArray[np.float64]) -> tuple
     returns = is_leap & (nearest <= BACK_SHARE * steps)
     if not _is_enough(is_leap, steps) or returns.sum() < LEAST_RETURNS * is_leap.sum():
         return 0, 0.0
-    return int(is_leap.sum()), float(np.median(steps[is_leap]))
+    length = float(np.median(steps[is_leap]))
+    others = steps[~is_leap]
+    if len(others) and length < LONGER * float(np.median(others)):
+        return 0, 0.0
+    return int(is_leap.sum()), length
 
 
 def _is_enough(found: NDArray[np.bool_], steps: NDArray[np.float64]) -> bool:

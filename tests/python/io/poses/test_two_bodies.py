@@ -154,6 +154,17 @@ def test_one_body_does_not_leap(speed, noise):
         assert leaps(stamps, places)[0] == 0
 
 
+@pytest.mark.parametrize("turn", [4, 9, 30])
+def test_one_body_that_flies_to_and_fro_does_not_leap(turn):
+    """It turns back every few poses, as a sensor that is carried along a line and back."""
+    stamps = np.arange(200, dtype=np.int64) * 10**8
+    way = np.abs((np.arange(200) + turn) % (2 * turn) - turn)
+    places = np.zeros((200, 3))
+    places[:, 0] = 0.4 * way
+    assert leaps(stamps, places)[0] == 0
+    assert leaps(stamps[:16], places[:16])[0] == 0
+
+
 @pytest.mark.parametrize("period", [1, 2, 10])
 def test_two_bodies_leap_at_any_rates(period):
     stamps = np.arange(400, dtype=np.int64) * 10**7
