@@ -72,7 +72,10 @@ def command(
     nothing was reported. Ctrl-C ends the run early; the files are complete up to that scan.
     """
     from lidar_core import runs
+    from lidar_core.config import toml_values
+    from lidar_core.files import read_whole
     from lidar_core.io import ReadOptions
+    from lidar_core.run_folder import RUN_FILE
 
     read = {"point_time": point_time, "no_return": no_return, "metadata": metadata}
     with shown_progress(consoles(options.json)[1]) as on_progress:
@@ -96,7 +99,10 @@ def command(
             resume=options.resume,
             on_progress=on_progress,
         )
-    table = _table(result.summary, options.recording.name)
+    file = options.output / RUN_FILE
+    note = toml_values(read_whole(file), file)
+    reach = note["config"]["flying"]["voxel_map"]["max_range"]
+    table = _table(result.summary, options.recording.name, reach)
     report(result, table, options.json, notes=result.summary["notes"])
 
 
@@ -109,13 +115,14 @@ SKY = {
 """What `frame.status.sky` says, for people."""
 
 
-def _told_movers(summary: Mapping[str, Any]) -> str:
-    """Text on how many scans have points that move on the ground, even without a track."""
+def _told_movers(summary: Mapping[str, Any], reach: float) -> str:
+    """Text on how many scans have points that move on the ground, and how far they are searched."""
     scans = summary["scans_moving"]
-    return f"moving points in {scans} of {summary['scans']['processed']} scans" if scans else ""
+    found = f"in {scans} of {summary['scans']['processed']} scans" if scans else "in no scan"
+    return f"moving points {found}, searched up to {reach:g} m"
 
 
-def _table(summary: Mapping[str, Any], name: str) -> "Table":
+def _table(summary: Mapping[str, Any], name: str, reach: float) -> "Table":
     scans, gate, shares = summary["scans"], summary["gate"], summary["class_shares"]
     opened = f"since scan {gate['opened_at_scan']}" if gate["open"] else gate["reason"]
     rows = (
@@ -127,7 +134,7 @@ def _table(summary: Mapping[str, Any], name: str) -> "Table":
         Row("own body", f"{100 * summary['own_body']:.1f} %", "of the rays"),
         Row("detections", str(summary["detections"]), ""),
         Row("tracks, flying", str(summary["tracks"]), ""),
-        Row("tracks, on the ground", str(summary["tracks_ground"]), _told_movers(summary)),
+        Row("tracks, on the ground", str(summary["tracks_ground"]), _told_movers(summary, reach)),
         None,
         *stage_rows(summary["ms_per_scan"]),
         *map_rows(summary["map"]),

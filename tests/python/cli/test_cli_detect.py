@@ -216,7 +216,8 @@ def test_people_on_the_ground_are_told_and_shown(recordings, run, tmp_path, monk
     scans = summary["scans_moving"]
     assert (summary["tracks"], summary["tracks_ground"]) == (0, 0)
     assert 5 < scans < 20
-    assert f"moving points in {scans} of 30 scans" in out.output
+    told = " ".join(out.output.replace("│", " ").split())
+    assert f"moving points in {scans} of 30 scans, searched up to 20 m" in told
     (view,) = views
     assert view.title == f"hap: 30 scans, 0 flying tracks, 0 on the ground, movers in {scans} scans"
     assert len(np.unique(view.moving_scan)) == scans
