@@ -201,9 +201,10 @@ class FlyingRun:
         far = far_median(self._cloud - here, LONGEST_3D)
         if far is not None:
             found.append(f"last scan: {far_text(far, is_planar=False)}")
-        moving = self.class_shares["moving"]
+        after = self.n_scans - self.burn_in_scans  # before, nothing is moving
+        moving = self.class_shares["moving"] * self.n_scans / max(after, 1)
         stands = len(self._path) >= FEWEST_SCANS and not np.ptp(self._path, axis=0).any()
-        if stands and moving > MOVING_SHARE:
+        if stands and after >= FEWEST_SCANS and moving > MOVING_SHARE:
             why = f"{100 * moving:.0f} % of the points move, and the sensor has one place: if the"
         elif stands and self._standing.has_moved:
             why = (
