@@ -86,6 +86,22 @@ def test_a_tape_keeps_the_times_of_arrival_if_they_are_known(tmp_path, ending, k
     assert times == [(n * 10**8, n * 10**8 + known * late) for n in range(5)]
 
 
+@pytest.mark.parametrize("name", ["a.mcap", "a.bag"])
+def test_a_tape_keeps_odometry_of_two_bodies_apart(tmp_path, name):
+    """Both name the same frames, so as transforms they would be one motion."""
+    tape = Tape(tmp_path / name)
+    for topic, y in (("/wheels", 0.0), ("/lidar_odometry", 3.0)):
+        matrix = np.eye(4)
+        matrix[1, 3] = y
+        pose = Pose(10**9, "odom", "base_link", matrix, topic=topic)
+        kind = Topic(topic, "nav_msgs/msg/Odometry", "pose")
+        tape.keep(Record(kind, 10**9, lambda pose=pose: [pose]))
+    tape.close()
+    with lc.io.open_recording(tape.path) as recording:
+        found = {pose.topic: (pose.child_frame_id, pose.matrix[1, 3]) for pose in recording}
+    assert found == {"/wheels": ("base_link", 0.0), "/lidar_odometry": ("base_link", 3.0)}
+
+
 def test_a_replay_of_what_a_replay_recorded_is_the_same_stream(tmp_path):
     """Transforms that are sent ahead of their times are there when a scan needs them."""
     begin, second = 1_700_000_000 * 10**9, 10**9
@@ -188,7 +204,7 @@ def test_what_cannot_be_read_is_left_out_of_the_tape_and_told_to_the_loop(tmp_pa
 def test_a_slow_disk_loses_records_and_does_not_wait(tmp_path, monkeypatch):
     written, gate = [], Event()
 
-    def slow(path, messages):
+    def slow(path, messages, *, odometry):
         gate.wait(60)
         written.extend(messages)
 
@@ -203,7 +219,7 @@ def test_a_slow_disk_loses_records_and_does_not_wait(tmp_path, monkeypatch):
 
 
 def test_a_tape_that_cannot_be_written_ends_with_the_reason(tmp_path, monkeypatch):
-    def full(path, messages):
+    def full(path, messages, *, odometry):
         next(messages)
         raise OSError(28, "No space left on device", str(path))
 
