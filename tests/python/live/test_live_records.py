@@ -115,9 +115,10 @@ def test_a_replay_of_what_a_replay_recorded_is_the_same_stream(tmp_path):
     arguments = ["live", "--replay", tmp_path / "a", "--record", tmp_path / "b.mcap"]
     first = told(arguments, tmp_path)
     again = told(["live", "--replay", tmp_path / "b.mcap"], tmp_path)
-    assert first["processed"] >= 8
-    assert again["processed"] == first["processed"]
-    assert again["without_pose"] == first["without_pose"]
+    for one in (first, again):  # at the pace of the recording: a busy machine drops scans
+        assert one["processed"] >= 8
+        lost = [count for why in ("without_pose", "dropped") for count in one[why].values()]
+        assert one["processed"] + sum(lost) == 16
     stored = []
     for path in ("a", "b.mcap"):
         with lc.io.open_recording(tmp_path / path) as recording:
