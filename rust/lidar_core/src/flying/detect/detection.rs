@@ -1,11 +1,11 @@
 //! Detections from flying clusters, with covariance and confidence.
 
-use super::center::Center;
+use super::center::{Center, Coherence};
 use crate::flying::analysis::PoseSpread;
 use crate::flying::classify::classifier::Classification;
 use crate::flying::classify::clusters::Cluster;
 use crate::flying::scan::prepared::Prepared;
-use crate::flying::track::{Coherence, TargetShape};
+use crate::flying::track::TargetShape;
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{Transform, minus, norm};
 use serde::{Deserialize, Serialize};

@@ -25,7 +25,6 @@ mod visibility;
 #[cfg(test)]
 mod tests;
 
-pub use belief::coherence::{Coherence, DIRECTIONS};
 pub use belief::kinds::TargetShape;
 pub use detections::Detections;
 pub(crate) use full_state::{SavedTracker, TrackerState};

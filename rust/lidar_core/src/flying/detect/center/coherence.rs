@@ -1,8 +1,10 @@
 //! Count of hits next to hits, in several directions across the line of sight.
 
 use super::filled::SpreadEllipse;
-use crate::flying::track::{Coherence, DIRECTIONS};
+use serde::{Deserialize, Serialize};
 
+/// Number of directions across the line of sight in which neighbours are counted.
+pub(crate) const DIRECTIONS: usize = 4;
 /// Least numbers of hits and of rays that missed the target whose neighbours are counted.
 const FEWEST_HITS: usize = 8;
 const FEWEST_MISSED: usize = 4;
@@ -12,6 +14,15 @@ const MOST_COMPARED: usize = 32;
 const NEXT: f64 = 2.0;
 /// Tangent of half the angle between two directions.
 const TANGENT: f64 = std::f64::consts::SQRT_2 - 1.0;
+
+/// Hits next to hits beyond chance, by direction: every 45 degrees, the first is horizontal.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Coherence {
+    /// Number of rays next to hits that are hits, less the number expected by chance.
+    pub excess: [f64; DIRECTIONS],
+    /// The same number if all rays next to hits were hits.
+    pub possible: [f64; DIRECTIONS],
+}
 
 /// Number of hits among the nearest rays on both sides of hits, in every direction, beyond chance. Only rays inside the
 /// ellipse around the hits count, and neighbours within two distances between rays (`ray_gap` [m]). `hits` and `passing` are in a plane across the line of sight [m]. Zero if too few

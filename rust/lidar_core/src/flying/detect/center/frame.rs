@@ -1,13 +1,12 @@
 //! Model of an open frame: rotors, arms and a body, through which rays pass.
 
-use super::coherence::coherence;
+use super::coherence::{Coherence, coherence};
 use super::filled::filled_share;
 use super::sphere::Start;
 use super::target_observation::{MARGIN, TargetObservation, TargetRay};
 use super::{Center, Matrix3, Vector3};
 use crate::estimation::kalman::symmetrised;
 use crate::flying::large_targets::shape_weight;
-use crate::flying::track::Coherence;
 use std::f64::consts::PI;
 
 /// Solid shares of an open frame and of a closed body. The following pairs of values belong to

@@ -15,6 +15,9 @@ mod target_observation;
 #[cfg(test)]
 mod tests;
 
+pub use coherence::Coherence;
+#[cfg(test)]
+pub(crate) use coherence::DIRECTIONS;
 pub(in crate::flying::detect) use filled::of_expected;
 pub(crate) use target_observation::{
     PassingRays, RaySource, TargetHit, TargetObservation, TargetRay, TargetRegion,
@@ -23,7 +26,6 @@ pub(crate) use target_observation::{
 use crate::Error;
 use crate::error::require;
 use crate::estimation::kalman::symmetrised;
-use crate::flying::track::Coherence;
 use crate::geometry::transform::norm;
 use crate::util::budget::check_points;
 use frame::OpenFrame;

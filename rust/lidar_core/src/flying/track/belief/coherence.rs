@@ -3,10 +3,7 @@
 //! A body or a frame is met by neighbouring rays, at least along one direction: a thin wing along the wing. Dust, smoke
 //! and rain are met at random, also where they are as dense as a frame.
 
-use serde::{Deserialize, Serialize};
-
-/// Number of directions across the line of sight in which neighbours are counted.
-pub const DIRECTIONS: usize = 4;
+use crate::flying::detect::center::Coherence;
 
 /// Share of the evidence that is kept when that of another detection is added: the last 20 count.
 const KEPT: f64 = 0.95;
@@ -19,15 +16,6 @@ const OF_BODY: [f64; 2] = [0.6, 0.2];
 const ANY: f64 = 0.05;
 /// Standard deviation of the coherence of dust, whose density varies: simulated puffs have 0 to 0.04.
 const LOOSE_STD: f64 = 0.05;
-
-/// Hits next to hits beyond chance, by direction: every 45 degrees, the first is horizontal.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Coherence {
-    /// Number of rays next to hits that are hits, less the number expected by chance.
-    pub excess: [f64; DIRECTIONS],
-    /// The same number if all rays next to hits were hits.
-    pub possible: [f64; DIRECTIONS],
-}
 
 impl Coherence {
     /// Add the evidence of another detection of the target.
@@ -66,6 +54,7 @@ impl Coherence {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::flying::detect::center::DIRECTIONS;
 
     fn of(coherence: [f64; DIRECTIONS], possible: f64) -> Coherence {
         Coherence { excess: coherence.map(|one| one * possible), possible: [possible; DIRECTIONS] }

@@ -5,7 +5,7 @@
 //! weighed once. Insects are smaller than the targets. Dust and leaves return few of many rays.
 //! Rays pass below flying targets, and not below objects that stand on the ground.
 
-use super::coherence::Coherence;
+use crate::flying::detect::center::Coherence;
 use crate::tracking::kind::{KINDS, KindBelief};
 use serde::{Deserialize, Serialize};
 
