@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.errors import LidarCoreError, PoseFrameWarning
-from lidar_core.io.poses.leaps import leap_notes
+from lidar_core.io.poses.leaps import MovingTransforms
 from lidar_core.io.poses.pose_frames import MOST_SCANS
-from lidar_core.io.poses.pose_topics import is_odometry
 from lidar_core.io.poses.posed import posed_scans
 from lidar_core.io.records import SCAN_KINDS, Record, Topic
 from lidar_core.io.scan_topics import NAMELESS, WORDS
@@ -270,7 +269,7 @@ def inspect(recording: "Recording") -> RecordingInfo:
     """Read a whole recording; decode its poses, and as many scans as is fast."""
     streams = {_key(topic): _Stream(topic) for topic in recording.topics()}
     edges: dict[tuple[str, str], bool] = {}
-    moving: list[tuple[Topic, Pose]] = []
+    moving = MovingTransforms()
     for record in recording.records():
         stream = streams.setdefault(_key(record.topic), _Stream(record.topic))
         messages: list[Message] = []
@@ -281,11 +280,11 @@ def inspect(recording: "Recording") -> RecordingInfo:
         stream.see(record, messages)
         poses = [message for message in messages if isinstance(message, Pose)]
         edges |= {(pose.frame_id, pose.child_frame_id): pose.is_static for pose in poses}
-        moving += [(record.topic, pose) for pose in poses if not pose.is_static]
+        moving.add(record.topic, poses)
     rejected = dict(recording.noticed().rejected)
     if any(not is_static for is_static in edges.values()):
         _check_pose_frames(recording)  # reads again, and counts what is rejected again
-    for text in _transform_notes(moving):
+    for text in moving.notes():
         recording.findings.note(text)
     infos = tuple(streams[name].info() for name in sorted(streams))
     found = recording.noticed()
@@ -325,25 +324,6 @@ def _check_pose_frames(recording: "Recording") -> None:
         for number, _ in enumerate(posed_scans(recording)):
             if number == MOST_SCANS:
                 break
-
-
-def _transform_notes(moving: list[tuple[Topic, Pose]]) -> list[str]:
-    """Texts about transforms that are of two bodies, or of one without a name."""
-    transforms = [(topic.name, pose) for topic, pose in moving if not is_odometry(topic)]
-    named = [item for item in transforms if item[1].child_frame_id]
-    nameless: dict[str, list[tuple[str, Pose]]] = {}
-    for topic, pose in transforms:
-        if not pose.child_frame_id:
-            nameless.setdefault(topic, []).append((topic, pose))
-    return [
-        *leap_notes(named),
-        *(text for poses in nameless.values() for text in leap_notes(poses)),
-        *(
-            f"{topic or NAMELESS}: {len(poses)} transforms without a child frame: what moves there"
-            " is not stated"
-            for topic, poses in nameless.items()
-        ),
-    ]
 
 
 def _key(topic: Topic) -> tuple[str, str]:

@@ -4,12 +4,15 @@ Transforms with the same names are one motion to every reader. If two sources us
 they are the poses of two bodies without a name, the motion leaps to and fro.
 """
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core.io.poses.pose_topics import is_odometry
+from lidar_core.io.records import Topic
+from lidar_core.io.scan_topics import NAMELESS
 from lidar_core.messages import Pose
 
 LEAST_LEAP = 0.1
@@ -21,6 +24,8 @@ BACK_SHARE, ON_SHARE = 1 / 3, 1.2
 share the step was a part of the motion, and no leap."""
 LEAST_RETURNS, LEAST_LEAPS, LEAST_SHARE = 0.8, 6, 0.05
 """Share of the leaps that come back; leaps, and their share of all steps."""
+MOST_POSES = 10_000
+"""Poses of a transform that are compared with each other."""
 LONGER = 3.0
 """How many times longer than the other steps leaps are: a body that turns back also comes back."""
 
@@ -104,6 +109,48 @@ def leap_notes(poses: Iterable[tuple[str, Pose]]) -> list[str]:
         if count:
             found.append(_text(edge, list(topics[edge]), count, length))
     return found
+
+
+class MovingTransforms:
+    """Transforms that are not static: some are of two bodies, or of one without a name.
+
+    Only the first `MOST_POSES` of a transform are kept: recordings of hours have millions.
+    """
+
+    def __init__(self) -> None:
+        self._named: list[tuple[str, Pose]] = []
+        self._nameless: dict[str, list[tuple[str, Pose]]] = {}
+        self._counts: Counter[tuple[str, str, str]] = Counter()
+
+    def add(self, topic: Topic, poses: Iterable[Pose]) -> None:
+        """Take the poses of a message; those of odometry are of one body."""
+        if is_odometry(topic):
+            return
+        for pose in poses:
+            if pose.is_static:
+                continue
+            edge = topic.name, pose.frame_id, pose.child_frame_id
+            self._counts[edge] += 1
+            if self._counts[edge] <= MOST_POSES:
+                named = pose.child_frame_id != ""
+                kept = self._named if named else self._nameless.setdefault(topic.name, [])
+                kept.append((topic.name, pose))
+
+    def notes(self) -> list[str]:
+        """Return texts about what was found."""
+        without: Counter[str] = Counter()
+        for (topic, _, child), count in self._counts.items():
+            if not child:
+                without[topic] += count
+        return [
+            *leap_notes(self._named),
+            *(text for poses in self._nameless.values() for text in leap_notes(poses)),
+            *(
+                f"{topic or NAMELESS}: {count} transforms without a child frame: what moves there"
+                " is not stated"
+                for topic, count in without.items()
+            ),
+        ]
 
 
 def _text(edge: tuple[str, str], topics: list[str], count: int, length: float) -> str:

@@ -13,7 +13,9 @@ import lidar_core.io
 from lidar_core.cli import app
 from lidar_core.errors import PoseFrameWarning
 from lidar_core.io import McapWriter
-from lidar_core.io.poses.leaps import leaps
+from lidar_core.io.poses import leaps as leaps_module
+from lidar_core.io.poses.leaps import MovingTransforms, leaps
+from lidar_core.io.records import Topic
 from lidar_core.messages import LaserScan, Pose
 
 BASE_NS = 1_700_000_000_000_000_000
@@ -139,6 +141,18 @@ def nameless_transforms(tmp_path):
 def test_info_tells_transforms_without_a_child_frame(nameless_transforms):
     done = CliRunner().invoke(app, ["info", str(nameless_transforms)])
     assert "note /tf: 10 transforms without a child frame" in done.stdout, done.stdout
+
+
+def test_only_the_first_transforms_are_kept_and_all_are_counted(monkeypatch):
+    monkeypatch.setattr(leaps_module, "MOST_POSES", 20)
+    found, topic = MovingTransforms(), Topic("/tf", "tf2_msgs/msg/TFMessage", "pose")
+    for number in range(100):
+        matrix = np.eye(4)
+        matrix[0, 3] = 5.0 * (number % 2) if number < 20 else 0.0
+        found.add(topic, [Pose(number * 10**8, "map", "", matrix, topic="/tf")])
+    leap, count = found.notes()
+    assert "the poses of two bodies" in leap
+    assert "/tf: 100 transforms without a child frame" in count
 
 
 @pytest.mark.parametrize("speed", [0.0, 1.0, 60.0])
