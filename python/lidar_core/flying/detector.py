@@ -421,6 +421,7 @@ def _frame(stamp_ns: int, values: dict[str, Any]) -> FlyingFrame:
             sky=values["sky"],
             sky_share=values["sky_share"],
             n_sky_rays=values["sky_rays"],
+            point_times=values["point_times"],
             own_body=values["own_body"],
             own_body_is_decided=values["own_body_is_decided"],
         ),

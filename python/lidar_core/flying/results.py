@@ -54,6 +54,10 @@ class FlyingStatus:
         Share of the sensor's rays that go into the sky.
     n_sky_rays : int
         Rays into the sky that were found, not given.
+    point_times : str
+        Source of the times of the points: "given" by the caller or the recording; "estimated" from
+        the order of the points in a scan of a spinning sensor that moves; or "none": all points are
+        taken to be of the stamp. Points with estimated times are moved to where they were measured.
     own_body : float
         Share of the sensor's rays that end on the robot itself. Rays without return count,
         too: rows of the cloud without one, and where drivers leave rows out, the rays that the
@@ -69,6 +73,7 @@ class FlyingStatus:
     sky: str = "unknown"
     sky_share: float = 0.0
     n_sky_rays: int = 0
+    point_times: str = "none"
     own_body: float = 0.0
     own_body_is_decided: bool = False
 

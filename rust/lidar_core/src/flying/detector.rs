@@ -299,7 +299,8 @@ impl FlyingObjectDetector {
         let Self { parameters, local, sensors, scan, classifier, static_points, tracker, .. } =
             self;
         if let Some(sensor) = sensors.get_mut(raw.sensor) {
-            sensor.learn_from(raw, &scan.pose, scan.sky_observation.as_deref_mut());
+            let observation = scan.sky_observation.as_deref_mut();
+            sensor.learn_from(raw, &scan.pose, observation, scan.sweep.as_ref());
         }
         // Scans of one sensor come in order, so that no detection is older than a cloud.
         tracker.keep_points(sensors.len().max(parameters.sensors.len()) > 1);

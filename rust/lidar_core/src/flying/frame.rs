@@ -7,6 +7,7 @@ use super::point_class::{PointClass, replace};
 use super::reporting_gate::ReportingGate;
 use super::scan::prepared::Prepared;
 use super::scan::sensors::OwnBody;
+use super::scan::untimed::PointTimes;
 use super::sky::source::SkySource;
 use super::track::Track;
 use crate::geometry::transform::Transform;
@@ -50,6 +51,8 @@ pub struct Frame {
     pub sky_share: f64,
     /// Number of rays without return that were found by the detector.
     pub sky_rays: usize,
+    /// Where the times of the points come from.
+    pub point_times: PointTimes,
     /// Share of the sensor's rays that end on the robot itself. Rays without return count if they
     /// are in the scan, or known from the search for the sky.
     pub own_body: f64,
@@ -76,6 +79,7 @@ impl Frame {
             sky: scan.sky,
             sky_share: scan.sky_share,
             sky_rays: scan.rebuilt,
+            point_times: scan.point_times,
             own_body: 0.0,
             own_rows: Vec::new(),
             own_body_is_decided: false,

@@ -141,6 +141,19 @@ impl PointPoses {
         Ok(())
     }
 
+    /// Set one pose for each block of points. `block_of`: index of the block of a point.
+    pub fn fill_blocks(
+        &mut self,
+        blocks: impl Iterator<Item = Transform>,
+        points: usize,
+        block_of: impl Fn(usize) -> usize,
+    ) {
+        self.poses.clear();
+        self.poses.extend(blocks);
+        self.places.clear();
+        self.places.extend((0..points).map(|point| block_of(point) as u32));
+    }
+
     /// Replace every pose by the one in another frame.
     pub fn move_to(&mut self, target_from_source: &Transform) {
         self.poses.iter_mut().for_each(|pose| *pose = target_from_source.after(pose));

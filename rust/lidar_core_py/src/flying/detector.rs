@@ -231,6 +231,7 @@ fn frame_dict(py: Python<'_>, frame: Frame) -> Result<Bound<'_, PyDict>, BorderE
     values.set_item("sky", frame.sky.name())?;
     values.set_item("sky_share", frame.sky_share)?;
     values.set_item("sky_rays", frame.sky_rays)?;
+    values.set_item("point_times", frame.point_times.name())?;
     values.set_item("own_body", frame.own_body)?;
     let own_rows: Vec<i64> = frame.own_rows.into_iter().map(i64::from).collect();
     values.set_item("own_rows", own_rows.into_pyarray(py))?;

@@ -7,3 +7,5 @@ pub mod prepared;
 pub(crate) mod raw_scan;
 pub mod sensor;
 pub(crate) mod sensors;
+mod sweep;
+pub mod untimed;

@@ -1,6 +1,7 @@
 //! Poses of the sensor at the times of the points of a scan.
 
 use super::raw_scan::RawScan;
+use super::untimed::SweepMotion;
 use crate::Error;
 use crate::geometry::motion::{PointPoses, ScanPoses};
 use crate::geometry::transform::Transform;
@@ -37,6 +38,13 @@ impl Poses {
         })?;
         (self.differ, self.middle) = (times.is_some(), map_from_world.after(&middle));
         Ok(())
+    }
+
+    /// Use the motion during a scan without times. Its middle is at the pose of the scan.
+    pub(super) fn move_along(&mut self, motion: &SweepMotion, points: usize) {
+        let blocks = motion.poses.iter().map(|pose| self.middle.after(pose));
+        self.rows.fill_blocks(blocks, points, |row| motion.sweep.block_of(row));
+        self.differ = true;
     }
 
     /// Pose of every entry. None if all entries share one pose.

@@ -3,6 +3,7 @@
 use super::point_poses::Poses;
 pub use super::raw_scan::RawScan;
 use super::sensor::Sensor;
+use super::untimed::{PointTimes, SweepMotion};
 use crate::Error;
 use crate::flying::map::voxel_map::VoxelMap;
 use crate::flying::point_class::PointClass;
@@ -39,6 +40,10 @@ pub(crate) struct Prepared {
     pub(crate) delays: Option<Vec<f32>>,
     /// Pose of the sensor at the middle of the scan, in the frame of the map.
     pub(crate) pose: Transform,
+    /// Where the times of the points come from.
+    pub(crate) point_times: PointTimes,
+    /// Motion of the sensor during a scan without times. None if the points do not show it.
+    pub(crate) sweep: Option<SweepMotion>,
     /// Motion of the sensor since its last scan, frame of the map [m]. Zero if that is not known.
     pub(crate) moved: [f64; 3],
     pub(crate) rebuilt: usize,
@@ -79,11 +84,23 @@ impl Prepared {
         let mut poses = std::mem::take(&mut self.poses);
         let found = poses.find(raw, &motion, map_from_world).and_then(|()| cancel::check());
         if found.is_ok() {
+            self.estimate_times(raw, sensor, &mut poses);
             self.take_rows(raw, sensor, &poses, pool);
         }
         self.poses = poses; // its memory is used again
         found?;
         cancel::check()
+    }
+
+    /// Find the motion during a scan without times.
+    fn estimate_times(&mut self, raw: &RawScan<'_>, sensor: &Sensor, poses: &mut Poses) {
+        let is_given = raw.point_time_ns.is_some();
+        self.point_times = if is_given { PointTimes::Given } else { PointTimes::None };
+        self.sweep = if is_given { None } else { sensor.sweep_motion(raw, &poses.middle) };
+        if let Some(motion) = self.sweep.as_ref().filter(|motion| motion.is_skewed) {
+            poses.move_along(motion, raw.points.len());
+            self.point_times = PointTimes::Estimated;
+        }
     }
 
     fn take_rows(
@@ -105,6 +122,11 @@ impl Prepared {
         refill(&mut self.origins, poses.of_rows().map(|poses| poses.map(|pose| pose.translation)));
         let delay = |time: &i64| (time.saturating_sub(raw.stamp_ns) as f64 * 1e-9) as f32;
         refill(&mut self.delays, raw.point_time_ns.map(|times| times.iter().map(delay)));
+        if let Some(motion) = self.sweep.as_ref().filter(|motion| motion.is_skewed) {
+            let delays: Vec<f32> = motion.delays().collect();
+            let of_rows = (0..self.rows).map(|row| delays[motion.sweep.block_of(row)]);
+            refill(&mut self.delays, Some(of_rows));
+        }
         self.take_farthest_returns(raw.points, sensor.parameters.returns_per_ray);
         self.take_points(raw, sensor, poses, pool);
         self.take_body(raw, sensor);

@@ -15,7 +15,7 @@ pub struct RawScan<'a> {
     pub no_return: Option<&'a [bool]>,
     /// Direction of every ray, lidar frame. None: not known.
     pub directions: Option<&'a [[f32; 3]]>,
-    /// Time of every point [ns]. None: all are of `stamp_ns`.
+    /// Time of every point [ns]. None: not known.
     pub point_time_ns: Option<&'a [i64]>,
     /// Poses `world_from_lidar`, 4x4 row-major: one, or a stream.
     pub poses: &'a [[f64; 16]],

@@ -2,6 +2,7 @@
 
 use super::body::Body;
 use super::raw_scan::RawScan;
+use super::untimed::{SweepMotion, Untimed};
 use crate::Error;
 use crate::flying::map::saved_body::SavedBody;
 use crate::flying::sky::source::SkySource;
@@ -89,6 +90,8 @@ pub(crate) struct Sensor {
     /// State of the search for the sky. None if rays without return are given.
     pub(crate) sky: Option<Sky>,
     pub(crate) body: Option<Box<Body>>,
+    /// What is known about clouds without times. None if the times are as given.
+    untimed: Option<Untimed>,
     learnt_scans: u32,
     /// Whether the air was ever full of droplets.
     is_in_droplets: bool,
@@ -104,6 +107,7 @@ pub(super) struct SavedSensor {
     last_pose: Option<Transform>,
     sky: Option<Sky>,
     body: Option<Box<Body>>,
+    untimed: Option<Untimed>,
     learnt_scans: u32,
     is_in_droplets: bool,
     near_counts: Vec<u32>,
@@ -115,6 +119,7 @@ impl Sensor {
         Self {
             sky: Sky::of(&parameters.beams),
             body: parameters.find_body.then(Box::default),
+            untimed: (parameters.beams != Beams::Given).then(Untimed::default),
             parameters,
             last_stamp_ns: None,
             last_pose: None,
@@ -132,6 +137,7 @@ impl Sensor {
             last_pose: self.last_pose,
             sky: self.sky.clone(),
             body: self.body.clone(),
+            untimed: self.untimed.clone(),
             learnt_scans: self.learnt_scans,
             is_in_droplets: self.is_in_droplets,
             near_counts: self.near_counts.clone(),
@@ -152,12 +158,15 @@ impl Sensor {
         let cells = [0, 6 * FACE_CELLS * FACE_CELLS];
         if self.body.is_some() != saved.body.is_some()
             || !saved.body.as_ref().is_none_or(|body| body.is_whole())
+            || self.untimed.is_some() != saved.untimed.is_some()
+            || !saved.untimed.as_ref().is_none_or(Untimed::is_whole)
             || !cells.contains(&saved.near_counts.len())
         {
             return Err(impossible("parts of a sensor contradict each other"));
         }
         (self.last_stamp_ns, self.last_pose) = (saved.last_stamp_ns, saved.last_pose);
-        (self.body, self.learnt_scans) = (saved.body, saved.learnt_scans);
+        (self.body, self.untimed) = (saved.body, saved.untimed);
+        self.learnt_scans = saved.learnt_scans;
         self.is_in_droplets = saved.is_in_droplets;
         (self.near_counts, self.directions) = (saved.near_counts, saved.directions);
         Ok(())
@@ -291,7 +300,12 @@ impl Sensor {
         raw: &RawScan<'_>,
         pose: &Transform,
         observation: Option<&mut SkyObservation>,
+        sweep: Option<&SweepMotion>,
     ) {
+        let seconds = self.since_last(raw.stamp_ns);
+        if let Some(untimed) = &mut self.untimed {
+            untimed.learn(sweep.map_or(0.0, |motion| motion.evidence), seconds);
+        }
         let needs_directions = raw.organised && raw.no_return.is_some() && raw.directions.is_none();
         self.learn(raw.stamp_ns, raw.points, raw.no_return, pose, observation, needs_directions);
     }
@@ -304,6 +318,14 @@ impl Sensor {
             Some(last) => minus(pose.translation, last.translation),
             None => [0.0; 3],
         }
+    }
+
+    /// Motion of the sensor during a scan without times, whose pose is `pose` in the frame of the map. None if it is
+    /// not known, or if times are as given.
+    pub(super) fn sweep_motion(&self, raw: &RawScan<'_>, pose: &Transform) -> Option<SweepMotion> {
+        let seconds = self.since_last(raw.stamp_ns).filter(|&seconds| seconds <= LONGEST_PAUSE)?;
+        let motion = self.last_pose?.inverse().after(pose);
+        self.untimed.as_ref()?.motion(raw, self.parameters.returns_per_ray, &motion, seconds)
     }
 
     /// Learn properties of the sensor from an accepted scan.
