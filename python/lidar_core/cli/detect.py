@@ -113,6 +113,12 @@ SKY = {
     "unknown": "not known: objects in front of open sky are not found",
 }
 """What `frame.status.sky` says, for people."""
+POINT_TIMES = {
+    "given": "by the recording",
+    "estimated": "from the order of the points in a turn of the sensor",
+    "none": "all points of a scan are taken to be of one time",
+}
+"""What `frame.status.point_times` says, for people."""
 
 
 def _told_movers(summary: Mapping[str, Any], reach: float) -> str:
@@ -132,6 +138,7 @@ def _table(summary: Mapping[str, Any], name: str, reach: float) -> "Table":
         Row("gate", "open" if gate["open"] else "closed", opened),
         Row("open sky", f"{100 * summary['sky_share']:.0f} %", SKY[summary["sky"]]),
         Row("own body", f"{100 * summary['own_body']:.1f} %", "of the rays"),
+        Row("point times", summary["point_times"], POINT_TIMES[summary["point_times"]]),
         Row("detections", str(summary["detections"]), ""),
         Row("tracks, flying", str(summary["tracks"]), ""),
         Row("tracks, on the ground", str(summary["tracks_ground"]), _told_movers(summary, reach)),

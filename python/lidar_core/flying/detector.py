@@ -116,7 +116,9 @@ class FlyingObjectDetector(FullState):
         directions : array_like, shape (N, 3), float32, optional
             Unit direction of every ray, lidar frame.
         point_time_ns : array_like, shape (N,), int64, optional
-            Absolute time of every point [ns].
+            Absolute time of every point [ns]. Without it, times are estimated where the cloud of
+            a moving spinning sensor shows them (`FlyingStatus.point_times`). Times that are all
+            equal to the stamp keep the points as they are.
         pose_stamps_ns : array_like, shape (K,), int64, optional
             Time of every pose [ns], increasing.
         pose_covariance : array_like, shape (6, 6), float64, optional
@@ -172,6 +174,7 @@ class FlyingObjectDetector(FullState):
             sky=status.sky,
             sky_share=status.sky_share,
             own_body=status.own_body,
+            point_times=status.point_times,
             n_forgotten=values["voxels_forgotten"],
             points=values["points"],
         )

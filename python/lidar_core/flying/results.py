@@ -144,7 +144,7 @@ class Health:
     received, processed, held, rejected : int
         Number of all scans; of used ones; of those held because their pose contradicts the map; of
         rejected ones.
-    sky, sky_share, own_body : str, float, float
+    sky, sky_share, own_body, point_times : str, float, float, str
         Values of the last scan used, as in `FlyingStatus`.
     n_voxels_forgotten : int
         Observed voxels that the map forgot to stay within `voxel_map.max_voxels`, farthest first.
@@ -162,6 +162,7 @@ class Health:
     sky: str = "unknown"
     sky_share: float = 0.0
     own_body: float = 0.0
+    point_times: str = "none"
     n_voxels_forgotten: int = 0
     far_scans: int = 0
     empty_scans: int = 0

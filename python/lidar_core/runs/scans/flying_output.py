@@ -341,6 +341,7 @@ class FlyingRun:
             "sky": self.sky,
             "sky_share": self.sky_share,
             "own_body": self.own_body,
+            "point_times": health.point_times,
             "detections": self.n_detections,
             "tracks": len(self.track_ids),
             "tracks_ground": len(self.ground_ids),

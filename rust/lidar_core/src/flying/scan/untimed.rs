@@ -19,28 +19,35 @@ const LEAST_SHIFT: f64 = 0.02;
 const TURN_ARM: f64 = 10.0;
 /// A time between scans of more than this many usual ones means that scans are missing.
 const GAP: f64 = 1.5;
-/// Smallest overlap of the ends that is compared [rad].
-const LEAST_OVERLAP: f64 = 0.005;
+/// Smallest overlap of the ends that is compared [rad]. A smaller one may be all of one surface.
+const LEAST_OVERLAP: f64 = 0.035;
 /// The first end is taken so much longer, because its surfaces lie in other directions after the motion [rad].
 const MARGIN: f64 = 0.35;
 /// Largest number of points of the last end that are compared.
 const SAMPLES: usize = 200;
 /// Ranges of points that are compared [m]: nearer ones may be of the robot, farther ones are sparse.
 const RANGES: [f64; 2] = [3.0, 60.0];
-/// Surface of a point: this number of nearest points, of which `FEWEST` are within `REACH` [m].
-const NEAREST: usize = 8;
-const FEWEST: usize = 6;
+/// Radii within which the surface around a point is searched: the smaller one [m], and the larger one as a share of the
+/// range, for sensors with few rows. The larger one is not below the smaller one.
 const REACH: f64 = 0.5;
+const WIDE_REACH: f64 = 0.06;
+/// Smallest number of points of a surface.
+const FEWEST: f64 = 6.0;
 /// Points are a surface if the variance across it is at most this share of the smaller one along it, and this share of
 /// the larger one along it is at most the smaller one.
 const FLAT: f64 = 0.1;
 const WIDE: f64 = 0.02;
-/// A point votes if the two distances from its surface differ by more than this [m].
+/// Least roughness of a surface [m].
+const ROUGHNESS: f64 = 0.02;
+/// A point votes if its distances from the two surfaces differ by more than this [m], and by more than this number of
+/// roughnesses, and if the smaller distance is within that number of roughnesses.
 const LEAST_DIFFERENCE: f64 = 0.05;
+const APART: f64 = 3.0;
+const FITS: f64 = 2.0;
 /// Logarithm of odds per vote. Votes depend on one another, because many are of one surface.
 const PER_VOTE: f64 = 0.35;
 /// Largest evidence of one scan, and of all scans (logarithms of odds).
-const MOST_PER_SCAN: f64 = 3.0;
+const MOST_PER_SCAN: f64 = 2.0;
 const MOST: f64 = 10.0;
 /// Evidence from which on points are moved: odds of 99 to 1.
 const ENOUGH: f64 = 4.6;
@@ -164,23 +171,31 @@ fn votes(raw: &RawScan<'_>, sweep: &Sweep, poses: &[Transform]) -> f64 {
     let moved = |row: usize| poses[sweep.block_of(row)].apply(wide(raw.points[row]));
     let as_given = FirstEnd::of(sweep, &head, |row| wide(raw.points[row]), None);
     let with_motion = FirstEnd::of(sweep, &head, moved, Some(poses));
-    let mut votes = 0.0;
     let step = tail.len().div_ceil(SAMPLES).max(1);
-    for &row in tail.iter().step_by(step) {
+    let vote_of = |&row: &usize| {
         let angle = sweep.angles[sweep.block_of(row)] - TAU;
-        let point = wide(raw.points[row]);
-        let given = as_given.distance(point, angle);
-        let later = moved(row);
+        let (point, later) = (wide(raw.points[row]), moved(row));
         let turned = wrapped(atan2(later[1], later[0]) - atan2(point[1], point[0]));
-        let corrected = with_motion.distance(later, angle + sweep.sense * turned);
-        if let (Some(given), Some(corrected)) = (given, corrected) {
-            let difference = given - corrected;
-            if difference.abs() > LEAST_DIFFERENCE {
-                votes += difference.signum();
-            }
-        }
-    }
-    votes
+        let given = as_given.offset(point, angle)?;
+        Some(vote(given, with_motion.offset(later, angle + sweep.sense * turned)?))
+    };
+    tail.iter().step_by(step).filter_map(vote_of).sum()
+}
+
+/// Distance of a point from the surface around it, and the roughness of that surface [m].
+#[derive(Clone, Copy)]
+struct Offset {
+    distance: f64,
+    roughness: f64,
+}
+
+/// 1 if a point fits better with the motion of the sensor, -1 if it fits better as given, 0 if neither is clear.
+fn vote(given: Offset, with_motion: Offset) -> f64 {
+    let difference = given.distance - with_motion.distance;
+    let better = if difference > 0.0 { with_motion } else { given };
+    let is_clear = difference.abs() > (APART * better.roughness).max(LEAST_DIFFERENCE)
+        && better.distance <= FITS * better.roughness;
+    if is_clear { difference.signum() } else { 0.0 }
 }
 
 /// Points at the first end of a scan, in the order of firing.
@@ -188,8 +203,8 @@ struct FirstEnd {
     points: Vec<[f64; 3]>,
     /// Angle of the block of every point, ascending [rad].
     angles: Vec<f64>,
-    /// Largest distance across the line of sight between a point near the asked one and its block [m].
-    reach: f64,
+    /// Largest shift of a point from the direction of its block [m].
+    shift: f64,
 }
 
 impl FirstEnd {
@@ -201,69 +216,130 @@ impl FirstEnd {
         poses: Option<&[Transform]>,
     ) -> Self {
         let points = rows.iter().map(|&row| place(row)).collect();
-        let (mut last, mut way) = (f64::NEG_INFINITY, 0.0_f64);
+        let (mut last, mut shift) = (f64::NEG_INFINITY, 0.0_f64);
         let mut angle = |&row: &usize| {
             let block = sweep.block_of(row);
             let turned = poses.map_or(0.0, |poses| {
-                way = way.max(norm(poses[block].translation));
+                shift = shift.max(norm(poses[block].translation));
                 atan2(poses[block].rotation[1][0], poses[block].rotation[0][0])
             });
             last = (sweep.angles[block] + sweep.sense * turned).max(last); // blocks may go back a little
             last
         };
         let angles = rows.iter().map(&mut angle).collect();
-        Self { points, angles, reach: REACH + way }
+        Self { points, angles, shift }
     }
 
-    /// Distance of `point` from the surface near it [m], at most `REACH`. `angle`: its direction. None if the points
-    /// near it are no surface, or if its direction is not in sight.
-    fn distance(&self, point: [f64; 3], angle: f64) -> Option<f64> {
-        if angle < 0.0 || angle > *self.angles.last()? {
+    /// Offset of `point` from the surface around it. `angle`: its direction. None if the points near it are few or no
+    /// surface, or if its direction is not in sight. Where nothing is near, the distance is the radius of the search.
+    fn offset(&self, point: [f64; 3], angle: f64) -> Option<Offset> {
+        let end = *self.angles.last()?;
+        if !(0.0..=end).contains(&angle) {
             return None;
         }
-        let wide = asin((self.reach / hypot(point[0], point[1])).min(1.0));
-        let from = self.angles.partition_point(|&other| other < angle - wide);
-        let to = self.angles.partition_point(|&other| other <= angle + wide);
-        let mut nearest: Vec<(f64, usize)> = Vec::with_capacity(NEAREST + 1);
-        for index in from..to {
-            let apart = minus(self.points[index], point);
+        let reach = (WIDE_REACH * norm(point)).max(REACH);
+        let width = asin(((reach + self.shift) / hypot(point[0], point[1])).min(1.0));
+        let from = self.angles.partition_point(|&other| other < angle - width);
+        let to = self.angles.partition_point(|&other| other <= angle + width);
+        let (mut close, mut around) = (Moments::default(), Moments::default());
+        for &other in &self.points[from..to] {
+            let apart = minus(other, point);
             let square = dot(apart, apart);
-            let limit = nearest.get(NEAREST - 1).map_or(REACH * REACH, |last| last.0);
-            if square < limit {
-                let place = nearest.partition_point(|other| other.0 <= square);
-                nearest.insert(place, (square, index));
-                nearest.truncate(NEAREST);
+            if square <= reach * reach {
+                around.add(apart);
+                if square <= REACH * REACH {
+                    close.add(apart);
+                }
             }
         }
-        if nearest.len() < FEWEST {
-            return Some(REACH);
-        }
-        let near: Vec<[f64; 3]> = nearest.iter().map(|&(_, index)| self.points[index]).collect();
-        plane_distance(&near, point).map(|distance| distance.min(REACH))
+        let surface = close.surface().or_else(|| around.surface());
+        let is_in_sight = (WIDE_REACH..=end - WIDE_REACH).contains(&angle);
+        let nothing = Offset { distance: reach, roughness: ROUGHNESS };
+        surface.or((around.count == 0.0 && is_in_sight).then_some(nothing))
     }
 }
 
-/// Distance of `point` from the plane through `near` [m]. None if these points are not in a plane.
-fn plane_distance(near: &[[f64; 3]], point: [f64; 3]) -> Option<f64> {
-    let share = 1.0 / near.len() as f64;
-    let mut center = [0.0; 3];
-    for at in near {
-        center = std::array::from_fn(|axis| center[axis] + share * at[axis]);
+/// Sums over points, given relative to the point whose distance is asked for.
+#[derive(Default)]
+struct Moments {
+    count: f64,
+    sum: [f64; 3],
+    /// Sums of products of coordinates: xx, xy, xz, yy, yz, zz.
+    products: [f64; 6],
+}
+
+impl Moments {
+    fn add(&mut self, [x, y, z]: [f64; 3]) {
+        self.count += 1.0;
+        let products = [x * x, x * y, x * z, y * y, y * z, z * z];
+        self.sum = [self.sum[0] + x, self.sum[1] + y, self.sum[2] + z];
+        self.products = std::array::from_fn(|at| self.products[at] + products[at]);
     }
-    let mut spread = Matrix3::<f64>::zeros();
-    for &at in near {
-        let apart = minus(at, center);
-        for (row, column) in (0..9).map(|index| (index / 3, index % 3)) {
-            spread[(row, column)] += apart[row] * apart[column];
+
+    /// Offset of the origin from the plane through the points. None if they are few, or not in a plane.
+    fn surface(&self) -> Option<Offset> {
+        if self.count < FEWEST {
+            return None;
         }
+        let mean = self.sum.map(|sum| sum / self.count);
+        let [xx, xy, xz, yy, yz, zz] = self.products.map(|sum| sum / self.count);
+        let [x, y, z] = mean;
+        let (xy, xz, yz) = (xy - x * y, xz - x * z, yz - y * z);
+        let spread = Matrix3::new(xx - x * x, xy, xz, xy, yy - y * y, yz, xz, yz, zz - z * z);
+        let eigen = SymmetricEigen::new(spread);
+        let mut order = [0, 1, 2];
+        order.sort_by(|&a, &b| eigen.eigenvalues[a].total_cmp(&eigen.eigenvalues[b]));
+        let [across, shorter, longer] = order.map(|index| eigen.eigenvalues[index]);
+        if !(across <= FLAT * shorter && shorter >= WIDE * longer) {
+            return None;
+        }
+        let normal = eigen.eigenvectors.column(order[0]);
+        let distance = dot([normal[0], normal[1], normal[2]], mean).abs();
+        Some(Offset { distance, roughness: across.max(0.0).sqrt().max(ROUGHNESS) })
     }
-    let eigen = SymmetricEigen::new(spread);
-    let mut order = [0, 1, 2];
-    order.sort_by(|&a, &b| eigen.eigenvalues[a].total_cmp(&eigen.eigenvalues[b]));
-    let [across, shorter, longer] = order.map(|index| eigen.eigenvalues[index]);
-    if !(across <= FLAT * shorter && shorter >= WIDE * longer && shorter > 0.0) {
-        return None;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_plane_has_an_offset_and_a_line_has_none() {
+        let mut plane = Moments::default();
+        let mut line = Moments::default();
+        for at in 0..25 {
+            let (x, y) = (f64::from(at % 5) * 0.1, f64::from(at / 5) * 0.1);
+            plane.add([x - 0.3, y, 0.4]);
+            line.add([x + 5.0 * y, 0.0, 0.4]);
+        }
+        let found = plane.surface().map(|surface| (surface.distance, surface.roughness));
+        assert!(found.is_some_and(|(distance, _)| (distance - 0.4).abs() < 1e-9));
+        assert!(found.is_some_and(|(_, roughness)| roughness == ROUGHNESS));
+        assert!(line.surface().is_none() && Moments::default().surface().is_none());
     }
-    let normal = eigen.eigenvectors.column(order[0]);
-    Some(dot([normal[0], normal[1], normal[2]], minus(point, center)).abs())
+
+    #[test]
+    fn a_point_votes_for_the_surface_that_it_lies_on() {
+        let offset = |distance: f64| Offset { distance, roughness: 0.02 };
+        assert_eq!(vote(offset(0.5), offset(0.01)), 1.0);
+        assert_eq!(vote(offset(0.0), offset(0.3)), -1.0);
+        assert_eq!(vote(offset(0.02), offset(0.01)), 0.0, "hardly a difference");
+        assert_eq!(vote(offset(0.5), offset(0.2)), 0.0, "on neither");
+        let rough = Offset { distance: 0.1, roughness: 0.2 };
+        assert_eq!(vote(offset(0.5), rough), 0.0, "on leaves");
+    }
+
+    #[test]
+    fn a_gap_does_not_change_the_usual_period() {
+        let mut known = Untimed::default();
+        for seconds in [0.1, 0.11, 0.4, 0.09, 0.1] {
+            known.learn(0.0, Some(seconds));
+        }
+        assert!(known.period.is_some_and(|period| (period - 0.1).abs() < 0.01));
+        known.learn(0.0, Some(0.05)); // the first ones were gaps
+        assert_eq!(known.period, Some(0.05));
+        known.learn(0.0, None);
+        known.learn(1e6, Some(0.0));
+        assert_eq!((known.period, known.evidence), (Some(0.05), MOST));
+    }
 }
