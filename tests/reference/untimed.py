@@ -71,8 +71,8 @@ def moved(points: Array, of_point: NDArray[np.int64], parts: Array, motion: Arra
 def distance(point: Array, others: Array, is_in_sight: bool) -> tuple[float, float]:
     """Distance of a point from the surface around it, and roughness of that surface [m].
 
-    The distance is the radius of the search if nothing is there and something would be seen, and NaN
-    if the points near it are few or no surface.
+    The distance is the radius of the search if nothing is there and something would be seen. It is
+    NaN if the points near it are few or no surface.
     """
     apart = others - point
     squares = np.sum(apart**2, axis=1)

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from reference import untimed
 
 from lidar_core.flying import FlyingConfig, FlyingObjectDetector, SensorConfig
+from reference import untimed
 
 PERIOD_NS = 100_000_000
 BOXES = np.array(
