@@ -23,6 +23,7 @@ __all__ = [
     "SimScene",
     "SimShape",
     "SimTrajectory",
+    "SweepTimes",
     "TargetFilter",
     "VoxelMap",
     "__version__",
@@ -507,6 +508,13 @@ _TrackArrays: TypeAlias = tuple[
     NDArray[np.float64],
     tuple[NDArray[np.uint8], NDArray[np.float64]],
 ]
+
+@final
+class SweepTimes:
+    def __new__(cls) -> Self: ...
+    def parts(
+        self, points: NDArray[np.float32], motion: list[list[float]]
+    ) -> NDArray[np.float64] | None: ...
 
 @final
 class PointCloudTracker:

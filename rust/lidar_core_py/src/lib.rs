@@ -41,6 +41,8 @@ mod _core {
     #[pymodule_export]
     use super::flying::detector::PyFlyingObjectDetector;
     #[pymodule_export]
+    use super::flying::sweep_times::PySweepTimes;
+    #[pymodule_export]
     use super::flying::tracker::PyPointCloudTracker;
     #[pymodule_export]
     use super::flying::voxel_map::PyVoxelMap;

@@ -2,12 +2,14 @@
 
 Source: Vizzo et al., "KISS-ICP: In Defense of Point-to-Point ICP", RA-L 2023; its package does the
 registration. Its poses are those of the end of a scan, to which it deskews; here they become a
-pose, or one at the start and one at the end, in the frame of the first scan's end.
+pose, or one at the start and one at the end, in the frame of the first scan's end. Clouds of a
+spinning sensor without times are deskewed, too, where they show that they are as measured; their
+pose is that of the middle of the turn, and the detector deskews them with the motion between poses.
 """
 
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, islice
 from typing import Any, NamedTuple
@@ -15,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core import _core
 from lidar_core.errors import InputError, OdometryWarning
 from lidar_core.extras import require
 from lidar_core.io.poses.cells import cell_keys, surrounding_keys
@@ -33,6 +36,8 @@ COARSE = 4
 registration looks for neighbours in adjacent voxels only, and a car moves further than that."""
 FEWEST, LEAST_SHARE = 50, 0.35
 """Points, and share of them near the map, below which a scan is not placed."""
+HELD = 6
+"""First scans of a recording that show whether clouds without times are as measured."""
 LOST_IN_A_ROW = 10
 JUMP, JUMP_ANGLE = 3.0, np.radians(30.0)
 """Departure from constant velocity within one scan that is told as a jump [m, rad]."""
@@ -72,7 +77,12 @@ class _Last:
     pose: NDArray[np.float64]
     motion: NDArray[np.float64]
     period_ns: int
+    stamp_ns: int
     is_first: bool = False
+
+    def latest(self, cloud: "_Cloud") -> int:
+        """Time after which `cloud` must end: its times, if estimated, begin before its stamp."""
+        return self.stamp_ns if cloud.part is None else self.end_ns
 
 
 class KissOdometry:
@@ -98,24 +108,42 @@ class KissOdometry:
         self._note = note
         require("kiss_icp", extra="odometry", purpose='pose="kiss"')
         self._parts: _Parts | None = None
-        self._first_motion = np.eye(4)
+        self._times, self._is_timed = _core.SweepTimes(), False
+        self._first_motion, self._first_period_ns = np.eye(4), 0
         self._doubt = _Doubt()
         self._last: _Last | None = None
         self._lost_in_a_row = 0
         self.lost = 0
 
-    def prepare(self, first: Scan, second: Scan) -> None:
-        """Estimate the motion during `first`, so that this scan is deskewed like the others."""
-        clouds = _usable(first), _usable(second)
-        if any(len(cloud.points) < FEWEST or cloud.part is None for cloud in clouds):
+    def prepare(self, first: Sequence[Scan]) -> None:
+        """Learn from the first scans of a recording, so that all scans are deskewed alike.
+
+        This is the motion during the first one, and, if the clouds have no times, whether their
+        points are in the order of firing and as measured.
+        """
+        clouds = [_usable(scan) for scan in first]
+        if len(clouds) < 2 or any(len(cloud.points) < FEWEST for cloud in clouds[:2]):
             return
+        if clouds[0].part is None:
+            trial = KissOdometry()
+            trial._try(first)
+            if not trial._is_timed:
+                return
+            self._times, self._is_timed = trial._times, True
+            self._first_period_ns = clouds[1].stamp_ns - clouds[0].stamp_ns
         trial = KissOdometry()
+        trial._times, trial._is_timed = self._times, self._is_timed
+        trial._first_period_ns = self._first_period_ns
+        if trial._try(first[:2]) and trial._last is not None:
+            cloud = trial._timed(clouds[1], trial._last.motion, self._first_period_ns)
+            sweep = (cloud.end_ns - cloud.start_ns) / trial._last.period_ns
+            self._first_motion = _part_of(trial._last.motion, sweep)
+
+    def _try(self, scans: Sequence[Scan]) -> bool:
+        """Place `scans` without a word; True if all of them have a place."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", OdometryWarning)
-            is_placed = trial.place(first) is not None and trial.place(second) is not None
-        if is_placed and trial._last is not None:
-            sweep = (clouds[0].end_ns - clouds[0].start_ns) / trial._last.period_ns
-            self._first_motion = _part_of(trial._last.motion, sweep)
+            return all([self.place(scan) is not None for scan in scans])
 
     def place(self, scan: Scan) -> Placed | None:
         """Pose of `scan`; None if it cannot be estimated.
@@ -131,7 +159,7 @@ class KissOdometry:
             The stamps do not increase.
         """
         cloud = _usable(scan)
-        if self._last is not None and cloud.end_ns <= self._last.end_ns:
+        if (last := self._last) is not None and cloud.end_ns <= last.latest(cloud):
             raise InputError(f"scan at {scan.stamp_ns} ns: not later than the one before")
         if len(cloud.points) < FEWEST:
             return self._lose(cloud, f"{len(cloud.points)} points within reach")
@@ -142,18 +170,22 @@ class KissOdometry:
     def _begin(self, cloud: "_Cloud", pose: NDArray[np.float64]) -> Placed:
         self._parts = _Parts(cloud.points)
         motion, self._first_motion, self._doubt = self._first_motion, np.eye(4), _Doubt()
+        cloud = self._timed(cloud, motion, self._first_period_ns)
         frame, _ = self._parts.prepared(cloud, motion)
         self._parts.map.update(frame, pose)
         period_ns = cloud.end_ns - cloud.start_ns
-        self._last = _Last(cloud.end_ns, pose, motion, period_ns, is_first=True)
+        self._last = _Last(cloud.end_ns, pose, motion, period_ns, cloud.stamp_ns, is_first=True)
         covariance = self._doubt.covariance(pose)
         if cloud.part is None or np.array_equal(motion, np.eye(4)):
             return Placed(pose, None, covariance)
         since = (cloud.span_ns - cloud.end_ns) / (cloud.end_ns - cloud.start_ns)
-        poses = np.stack([pose @ _part_of(motion, float(part)) for part in since])
-        return Placed(poses, cloud.span_ns, covariance)
+        return _placed(cloud, [pose @ _part_of(motion, float(part)) for part in since], covariance)
 
     def _follow(self, cloud: "_Cloud", parts: "_Parts", last: _Last) -> Placed | None:
+        since_last = cloud.stamp_ns - last.stamp_ns
+        period_ns = min(since_last, last.period_ns or since_last)
+        usual = _part_of(last.motion, period_ns / last.period_ns if last.period_ns else 1.0)
+        cloud = self._timed(cloud, usual, period_ns)
         elapsed = cloud.end_ns - last.end_ns
         periods = min(elapsed / last.period_ns, MOST_PERIODS) if last.period_ns else 1.0
         motion = _part_of(last.motion, periods)
@@ -173,12 +205,31 @@ class KissOdometry:
         covariance = self._doubt.covariance(pose)
         parts.map.update(frame, pose)
         moved = np.linalg.inv(last.pose) @ pose
-        self._last, self._lost_in_a_row = _Last(cloud.end_ns, pose, moved, elapsed), 0
+        self._last = _Last(cloud.end_ns, pose, moved, elapsed, cloud.stamp_ns)
+        self._lost_in_a_row = 0
         if cloud.part is None:
             return Placed(pose, None, covariance)
         since = (cloud.span_ns - last.end_ns) / elapsed
-        poses = np.stack([last.pose @ _part_of(moved, float(part)) for part in since])
-        return Placed(poses, cloud.span_ns, covariance)
+        poses = [last.pose @ _part_of(moved, float(part)) for part in since]
+        return _placed(cloud, poses, covariance)
+
+    def _timed(self, cloud: "_Cloud", motion: NDArray[np.float64], period_ns: int) -> "_Cloud":
+        """Add estimated times to a cloud without times, if the clouds show that they are needed.
+
+        The stamp is then taken to be that of the middle of a turn, which lasts `period_ns`;
+        `motion` is that of the sensor in this time.
+        """
+        if cloud.part is not None or not period_ns:
+            return cloud
+        part = self._times.parts(cloud.points.astype(np.float32), motion.tolist())
+        if part is None:
+            # The cloud before may end later than this one, which is of its stamp.
+            earliest = self._last.end_ns + period_ns // 4 if self._last else cloud.stamp_ns
+            end = max(cloud.stamp_ns, earliest)
+            return cloud._replace(start_ns=end, end_ns=end)
+        self._is_timed, half, stamp = True, period_ns // 2, cloud.stamp_ns
+        span = np.array([stamp], np.int64)
+        return cloud._replace(part=part, start_ns=stamp - half, end_ns=stamp + half, span_ns=span)
 
     def _lose(self, cloud: "_Cloud", reason: str) -> Placed | None:
         self.lost += 1
@@ -214,7 +265,8 @@ class _Cloud(NamedTuple):
     """Points of a scan that contain information.
 
     `part` is the relative time of each point, 0 at the first of them (`start_ns`) and 1 at the
-    last (`end_ns`), None without times; `span_ns` are first and last time of all rays.
+    last (`end_ns`), None without times; `span_ns` are the times at which poses are wanted: first
+    and last time of all rays, or the stamp if the times are estimated.
     """
 
     stamp_ns: int
@@ -223,6 +275,15 @@ class _Cloud(NamedTuple):
     start_ns: int
     end_ns: int
     span_ns: NDArray[np.int64]
+
+
+def _placed(
+    cloud: _Cloud, poses: list[NDArray[np.float64]], covariance: NDArray[np.float64]
+) -> Placed:
+    """Poses at the times of `cloud.span_ns`; of estimated times only the middle one is used."""
+    if len(poses) == 1:
+        return Placed(poses[0], None, covariance)
+    return Placed(np.stack(poses), cloud.span_ns, covariance)
 
 
 class _Doubt:
@@ -375,9 +436,11 @@ def placed_scans(
     Warnings are also passed to `note`.
     """
     odometry, source = KissOdometry(note), iter(scans)
-    held = list(islice(source, 2))
-    if len(held) == 2:
-        odometry.prepare(*held)
+    held = list(islice(source, 1))
+    if held:
+        is_timed = held[0].point_time_ns is not None
+        held.extend(islice(source, 1 if is_timed else HELD - 1))
+        odometry.prepare(held)
     for scan in chain(held, source):
         placed = odometry.place(scan)
         if placed is None:

@@ -4,5 +4,6 @@ pub(crate) mod analysis;
 pub(crate) mod center;
 pub(crate) mod config;
 pub(crate) mod detector;
+pub(crate) mod sweep_times;
 pub(crate) mod tracker;
 pub(crate) mod voxel_map;

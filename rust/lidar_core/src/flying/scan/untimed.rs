@@ -6,8 +6,10 @@
 
 use super::raw_scan::RawScan;
 use super::sweep::{Sweep, wrapped};
+use crate::Error;
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{Transform, dot, minus, norm};
+use crate::util::budget::check_points;
 use libm::{asin, atan2, hypot};
 use nalgebra::{Matrix3, SymmetricEigen};
 use serde::{Deserialize, Serialize};
@@ -130,10 +132,8 @@ impl Untimed {
         }
         let is_point = |row: usize| raw.no_return.is_none_or(|flags| !flags[row]);
         let sweep = Sweep::of(raw.points, returns, is_point)?;
-        // Scans of a spinning sensor follow one another without a pause.
-        let pose = |part: f64| Transform::IDENTITY.interpolate(motion, (part - 0.5) / scans);
-        let poses: Vec<Transform> = sweep.parts().map(pose).collect();
-        let evidence = (PER_VOTE * votes(raw, &sweep, &poses)).clamp(-MOST_PER_SCAN, MOST_PER_SCAN);
+        let poses = poses_of(&sweep, motion, scans);
+        let evidence = evidence_of(raw.points, is_point, &sweep, &poses);
         let is_skewed = self.evidence + evidence > ENOUGH;
         Some(SweepMotion { sweep, poses, seconds: seconds / scans, evidence, is_skewed })
     }
@@ -152,29 +152,85 @@ impl Untimed {
     }
 }
 
+/// Times of points in clouds of a spinning sensor without times, for odometry. The clouds of one sensor are given in the
+/// order of their times.
+#[derive(Clone, Debug, Default)]
+pub struct SweepTimes {
+    known: Untimed,
+}
+
+impl SweepTimes {
+    /// Part of the scan that was over at every point: 0 at the first one, 1 at the last one. None if the points are not
+    /// in the order of firing, or if this and earlier clouds do not show that they are as measured. `motion`: expected
+    /// pose of the sensor relative to its pose one scan before.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] for too many points, [`Error::Value`] for a motion that is not finite.
+    pub fn parts(
+        &mut self,
+        points: &[[f32; 3]],
+        motion: &Transform,
+    ) -> Result<Option<Vec<f64>>, Error> {
+        check_points(points.len())?;
+        let all = motion.rotation.iter().flatten().chain(&motion.translation);
+        if let Some(index) = all.clone().position(|value| !value.is_finite()) {
+            let got = format!("{motion:?}");
+            return Err(Error::Value { name: "motion", expected: "finite values", index, got });
+        }
+        let Some(sweep) = Sweep::of(points, 1, |_| true) else { return Ok(None) };
+        let poses = poses_of(&sweep, motion, 1.0);
+        self.known.learn(evidence_of(points, |_| true, &sweep, &poses), None);
+        let parts: Vec<f64> = sweep.parts().collect();
+        let of_points = (0..points.len()).map(|row| parts[sweep.block_of(row)]);
+        Ok((self.known.evidence > ENOUGH).then(|| of_points.collect()))
+    }
+}
+
+/// Pose of the sensor at every block of a scan, relative to the middle of the scan. `motion`: from the last scan to this
+/// one, over the time of `scans` scans, which follow one another without a pause.
+fn poses_of(sweep: &Sweep, motion: &Transform, scans: f64) -> Vec<Transform> {
+    let pose = |part: f64| Transform::IDENTITY.interpolate(motion, (part - 0.5) / scans);
+    sweep.parts().map(pose).collect()
+}
+
+/// Evidence of a scan that its points have to be moved.
+fn evidence_of(
+    points: &[[f32; 3]],
+    is_point: impl Fn(usize) -> bool,
+    sweep: &Sweep,
+    poses: &[Transform],
+) -> f64 {
+    (PER_VOTE * votes(points, is_point, sweep, poses)).clamp(-MOST_PER_SCAN, MOST_PER_SCAN)
+}
+
 /// Number of points at the last end of a scan that fit better to the surfaces of the first end with their motion, less
 /// the number of those that fit better without.
-fn votes(raw: &RawScan<'_>, sweep: &Sweep, poses: &[Transform]) -> f64 {
+fn votes(
+    points: &[[f32; 3]],
+    is_point: impl Fn(usize) -> bool,
+    sweep: &Sweep,
+    poses: &[Transform],
+) -> f64 {
     let overlap = sweep.turn - TAU;
     if overlap < LEAST_OVERLAP {
         return 0.0;
     }
     let is_near = |row: usize| {
-        let range = norm(wide(raw.points[row]));
+        let range = norm(wide(points[row]));
         let is_in_reach = (RANGES[0]..=RANGES[1]).contains(&range);
-        is_in_reach && raw.no_return.is_none_or(|flags| !flags[row])
+        is_in_reach && is_point(row)
     };
     let head = sweep.angles.partition_point(|&angle| angle < overlap + MARGIN) * sweep.block;
     let tail = sweep.angles.partition_point(|&angle| angle < TAU) * sweep.block;
     let head: Vec<usize> = (0..head.min(sweep.rows)).filter(|&row| is_near(row)).collect();
     let tail: Vec<usize> = (tail.min(sweep.rows)..sweep.rows).filter(|&row| is_near(row)).collect();
-    let moved = |row: usize| poses[sweep.block_of(row)].apply(wide(raw.points[row]));
-    let as_given = FirstEnd::of(sweep, &head, |row| wide(raw.points[row]), None);
+    let moved = |row: usize| poses[sweep.block_of(row)].apply(wide(points[row]));
+    let as_given = FirstEnd::of(sweep, &head, |row| wide(points[row]), None);
     let with_motion = FirstEnd::of(sweep, &head, moved, Some(poses));
     let step = tail.len().div_ceil(SAMPLES).max(1);
     let vote_of = |&row: &usize| {
         let angle = sweep.angles[sweep.block_of(row)] - TAU;
-        let (point, later) = (wide(raw.points[row]), moved(row));
+        let (point, later) = (wide(points[row]), moved(row));
         let turned = wrapped(atan2(later[1], later[0]) - atan2(point[1], point[0]));
         let given = as_given.offset(point, angle)?;
         Some(vote(given, with_motion.offset(later, angle + sweep.sense * turned)?))
