@@ -143,7 +143,8 @@ class KissOdometry:
         """Place `scans` without a word; True if all of them have a place."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", OdometryWarning)
-            return all([self.place(scan) is not None for scan in scans])
+            found = [self.place(scan) for scan in scans]
+        return all(one is not None for one in found)
 
     def place(self, scan: Scan) -> Placed | None:
         """Pose of `scan`; None if it cannot be estimated.

@@ -14,6 +14,12 @@ from lidar_core.reproduce.flying.real_data.inserted_targets import (
     real_scans,
     with_targets,
 )
+from lidar_core.reproduce.flying.real_data.labelled_boxes import (
+    MovingCounts,
+    moving_scores,
+    read_boxes,
+    speeds,
+)
 from lidar_core.reproduce.flying.real_data.lost_returns import drawn_patches, with_losses
 from lidar_core.reproduce.flying.real_data.reported import false_tracks, reported
 from lidar_core.reproduce.flying.real_data.scores import FEWEST, START_S, scores
@@ -52,7 +58,9 @@ def _measure(request: Request) -> Measured:
         note=f"false_tracks: distinct numbers in the sequence as it is. With a sphere, a"
         f" hexacopter and a quadcopter that go along with the sensor: recall of tracks from"
         f" {START_S} s on, where a target has {FEWEST} returns; errors from the target's centre"
-        " [m]. own_body: share of rays. None of the numbers of radiate_tiny_foggy may be printed.",
+        " [m]. own_body: share of rays. moving: points of the class MOVING against labelled"
+        " boxes that move; recall: mean share of their points, within 20 m. None of the"
+        " numbers of radiate_tiny_foggy may be printed.",
         config={"best": FlyingConfig()},
     )
 
@@ -67,7 +75,7 @@ def jobs(request: Request) -> list[Job]:
         scans = min(length, max(SHORTEST, round(share * length)))
         for number in range(LOSSES, flights):
             arguments = {"seed": request.seed, "name": name, "number": number, "scans": scans}
-            place = f"flying-real-{name}-{request.seed}-{number}-{scans}"
+            place = f"flying-real-2-{name}-{request.seed}-{number}-{scans}"
             found.append(Job(place, flight, arguments, scans))
     return found
 
@@ -91,12 +99,17 @@ def flight(*, seed: int, name: str, number: int, scans: int) -> Part:
     if number >= 0:
         flights = drawn_flights(prepared, sequence, rng)
         items, places, hits = with_targets(prepared, flights, sequence, rng)
-    part = reported(items, FlyingConfig())
     stamps = np.array([item.scan.stamp_ns for item in items])
-    return part | {
+    seconds = (stamps - stamps[0]) * 1e-9
+    counts = None
+    if number == BARE and sequence.labels:
+        boxes = read_boxes(sequence)
+        poses = [scan.pose for scan in prepared]
+        counts = MovingCounts(boxes, speeds(boxes, poses, seconds.tolist()))
+    return reported(items, FlyingConfig(), also=counts) | {
         "place": places,
         "hits": hits,
-        "seconds": (stamps - stamps[0]) * 1e-9,
+        "seconds": seconds,
         "number": np.array(number),
     }
 
@@ -121,6 +134,7 @@ def _rows(of: dict[str, list[Part]]) -> list[Row]:
             ("false_tracks, own body", "1", float(sum(one.is_own_body for one in false))),
             ("false_tracks, patches deleted", "1", float(len(false_tracks(lossy)))),
             ("own_body", "1", own if np.isfinite(own) else None),
+            *moving_scores(bare),
             *scores([part for part in parts if part["number"] >= 0], tuple(TARGETS)),
         ]
         rows += [Row(f"{name}/{what}", unit, None, None, value) for what, unit, value in values]

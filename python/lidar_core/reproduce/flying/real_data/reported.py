@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,16 +74,36 @@ class Reported:
         }
 
 
+class Counter(Protocol):
+    """Something that counts in the frames of a detector."""
+
+    def add(self, number: int, item: PosedScan[Scan], frame: FlyingFrame) -> None:
+        """Add the results of scan `number`."""
+
+    def columns(self) -> Part:
+        """Return all counts as arrays."""
+
+
 def reported(
-    items: Iterable[PosedScan[Scan]], config: FlyingConfig, *, scans: int | None = None
+    items: Iterable[PosedScan[Scan]],
+    config: FlyingConfig,
+    *,
+    scans: int | None = None,
+    also: Counter | None = None,
 ) -> Part:
-    """Run a detector over the first `scans` of a sequence; `Reported.columns` lists the results."""
+    """Run a detector over the first `scans` of a sequence.
+
+    `Reported.columns` lists the results; `also` adds its own.
+    """
     detector, kept = FlyingObjectDetector(config), Reported()
     for number, item in enumerate(items):
         if number == scans:
             break
-        kept.add(number, item, detector.process(item))
-    return kept.columns()
+        frame = detector.process(item)
+        kept.add(number, item, frame)
+        if also is not None:
+            also.add(number, item, frame)
+    return kept.columns() | (also.columns() if also is not None else {})
 
 
 @dataclass(frozen=True, slots=True)

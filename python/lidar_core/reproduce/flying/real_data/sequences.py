@@ -9,7 +9,7 @@ import os
 import shutil
 import tarfile
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -52,6 +52,8 @@ class RealSequence:
         Largest range in the data sheet of the sensor [m].
     azimuth_deg, elevation_deg : tuple of float
         Field of view, by its data sheet: least and greatest [deg].
+    labels : str, optional
+        Archive with labelled boxes of every scan, within the folder of recordings.
     is_printable : bool
         True if the licence allows published numbers.
     """
@@ -63,13 +65,14 @@ class RealSequence:
     range_max: float = 100.0
     azimuth_deg: tuple[float, float] = (-180.0, 180.0)
     elevation_deg: tuple[float, float] = (-15.0, 15.0)
+    labels: str | None = None
     is_printable: bool = True
 
     @property
     def files(self) -> tuple[str, ...]:
         """Recordings that the sequence needs, see `recordings.recording`."""
         of_poses = () if self.pose in ("static", "kiss") else (self.pose,)
-        return (self.source, *of_poses)
+        return (self.source, *of_poses, *([self.labels] if self.labels else []))
 
 
 SEQUENCES = (
@@ -83,9 +86,10 @@ SEQUENCES = (
     RealSequence(
         "street_128_labelled",
         f"{ROOT}/street_128_labelled/lidar_rounded_000000-000029.tar.xz",
-        f"{ROOT}/street_128_labelled/poses_icp.txt",
+        "kiss",
         range_max=200.0,
         elevation_deg=(-25.0, 15.0),
+        labels=f"{ROOT}/street_128_labelled/labels_000000-000029.tar.xz",
     ),
     RealSequence(
         "livox_hap_outdoor",
@@ -173,17 +177,35 @@ def _unpack(path: Path) -> Path:
     """Return the folder of an archive's unpacked scans; for other recordings, `path` itself."""
     if not path.name.endswith(".tar.xz"):
         return path
+    return _unpacked(path, _gather)
+
+
+def unpack_files(path: Path, suffix: str) -> list[Path]:
+    """Return the files of an archive whose names end with `suffix`, unpacked once."""
+
+    def gather(path: Path, whole: Path, target: Path) -> None:
+        for file in whole.rglob(f"*{suffix}"):
+            shutil.move(file, target / file.name)
+
+    return [*_unpacked(path, gather).iterdir()]
+
+
+def _unpacked(path: Path, gather: Callable[[Path, Path, Path], None]) -> Path:
+    """Return the folder with what `gather` takes of an archive.
+
+    `gather` is called with the archive, the folder of its unpacked files and an empty folder.
+    """
     digest = hashlib.sha256(path.read_bytes()).hexdigest()[:20]
     target = _cache() / f"{path.parent.name}-{digest}-{LAYOUT}"
     if target.is_dir():
         return target
     with tempfile.TemporaryDirectory(dir=_cache()) as name:
-        whole, scans = Path(name) / "whole", Path(name) / "scans"
+        whole, taken = Path(name) / "whole", Path(name) / "taken"
         _extract(path, whole)
-        scans.mkdir()
-        _gather(path, whole, scans)
+        taken.mkdir()
+        gather(path, whole, taken)
         try:
-            scans.rename(target)
+            taken.rename(target)
         except OSError:
             if not target.is_dir():  # else another process was faster
                 raise
