@@ -9,7 +9,7 @@ PER_UNIT = (200, 100, 50)  # bins per unit of the measures of angles, finest fir
 SECTORS = 36  # parts of the azimuth with a start point of rays of their own
 LONGEST, FARTHEST, BEHIND, STEP = 60.0, 45.0, 0.2, 0.01  # [m]
 CELL, VOXEL = 0.028, 0.1  # [m]
-HITS_PER_VIEW = 20
+HITS_PER_VIEW = 10
 NONE = 65535  # length of the rays of a bin without any
 
 

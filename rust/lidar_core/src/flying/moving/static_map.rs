@@ -27,7 +27,7 @@ const MAX_RANGE: f64 = 20.0;
 /// Number of scans with points at a place, per scan that sees through the place, above which the
 /// place counts as static. Thin static objects, such as wires, are hit in most scans, and seen
 /// through in some scans.
-const HITS_PER_VIEW: u32 = 20;
+const HITS_PER_VIEW: u32 = 10;
 /// Number of updates after which a voxel is certainly occupied.
 const SURE_UPDATES: f64 = 30.0;
 /// Largest memory of the views [bytes]. Above it, every second view is removed.
