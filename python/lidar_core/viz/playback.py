@@ -18,7 +18,7 @@ from lidar_core.io.records import SCAN_KINDS
 from lidar_core.io.tables.columns import Columns, read_columns
 from lidar_core.io.tables.covariance import covariance_titles, symmetric
 from lidar_core.io.tables.shapes import outline, outline_of_row
-from lidar_core.messages import LaserScan, Scan
+from lidar_core.messages import LaserScan, Scan, ShownClass
 from lidar_core.objects import Objects, ShapeElements
 from lidar_core.run_folder import RUN_FILE
 
@@ -79,6 +79,12 @@ class Moment:
     objects: Objects
     outlines: tuple[Outline, ...] = ()
     sensor: NDArray[np.float64] | None = None
+
+    @property
+    def movers(self) -> NDArray[np.float32]:
+        """Points (M, 3) of the scan that move on the ground [m]."""
+        points: NDArray[np.float32] = self.points[self.point_class == ShownClass.MOVING]
+        return points
 
 
 class Playback:
@@ -189,6 +195,15 @@ class Playback:
         """The map; None if the run wrote none."""
         path = self.folder / MAP
         return path if path.is_file() else None
+
+    def occupied(self) -> tuple[NDArray[np.float64], float]:
+        """Centres (V, 3) of the occupied voxels of the map, and their edge [m]; (0, 3) without."""
+        from lidar_core.flying.voxel_map import VoxelMap
+
+        if self.voxel_map is None:
+            return np.empty((0, 3)), 1.0
+        kept = VoxelMap.load(self.voxel_map)
+        return kept.occupied_points(), float(kept.config.voxel_size)
 
     def times(self) -> list[int]:
         """Times [ns] of scans with points, ascending; of estimates if no scan has points."""

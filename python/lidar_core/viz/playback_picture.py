@@ -10,9 +10,17 @@ from numpy.typing import NDArray
 
 from lidar_core.io.write.circle_scene import ellipse
 from lidar_core.messages import ShownClass
-from lidar_core.viz.drawing.frame import Window, bulk_of, panel_tallness, window_around, window_over
+from lidar_core.viz.drawing.frame import (
+    Window,
+    box_of_movers,
+    bulk_of,
+    panel_tallness,
+    window_around,
+    window_over,
+)
 from lidar_core.viz.drawing.labels import Label, draw_labels
 from lidar_core.viz.drawing.marks import WAY, colours_of, ring, scale_bar, sensor_mark
+from lidar_core.viz.drawing.thinning import thinned
 from lidar_core.viz.drawing.voxels import draw_voxels
 from lidar_core.viz.figure import INK, opaque_legend, png_path, write_figure
 from lidar_core.viz.film import write_film
@@ -168,8 +176,9 @@ class _Scene:
         True if the paths fill the picture: fused targets have no map around them.
     points_name : str
         Name of points without a class.
-    moving, around : sequence of ndarray, shape (N, 3)
-        Places that are in the middle, and places that are shown where there is room [m].
+    moving, movers, around : sequence of ndarray, shape (N, 3)
+        Places of objects that are in the middle, of what moves on the ground, which is shown too,
+        and places that are shown where there is room [m].
     voxels : ndarray, shape (N, 3)
         Centres of occupied voxels [m], of edge `voxel_size` [m].
     """
@@ -179,6 +188,7 @@ class _Scene:
     shows_whole_ways: bool
     points_name: str
     moving: Sequence[NDArray[np.float64]]
+    movers: Sequence[NDArray[np.float64]]
     around: Sequence[NDArray[np.float64]]
     voxels: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 3)))
     voxel_size: float = 1.0
@@ -194,34 +204,23 @@ class _Scene:
         if run.capability == "circles":
             moved = [way for way in ways if np.linalg.norm(np.ptp(way, axis=0)) > MOVED]
             around = [*ways, *outlines, bulk, *sensors]
-            return cls(run.folder.name, True, False, run.points_name, moved, around)
-        around = sensors[-1:] if ways else [bulk, *sensors[-1:]]
-        is_fused = run.capability == "fusion"
-        return cls(
-            run.folder.name, is_fused, is_fused, run.points_name, ways, around, *_map_of(run)
-        )
+            return cls(run.folder.name, True, False, run.points_name, moved, [], around)
+        movers = [box_of_movers(moment.movers) for moment, _ in shown]
+        around = sensors[-1:] if ways or any(map(len, movers)) else [bulk, *sensors[-1:]]
+        is_fused, name, title = run.capability == "fusion", run.points_name, run.folder.name
+        return cls(title, is_fused, is_fused, name, ways, movers, around, *run.occupied())
 
     def window(self, axes: tuple[int, int], tall: float) -> Window:
         """Return the part of the world that a panel of this height over width shows."""
         moving = [way[:, axes] for way in self.moving]
-        around = [rows[:, axes] for rows in self.around]
-        if not moving:
+        movers, around = ([rows[:, axes] for rows in part] for part in (self.movers, self.around))
+        if not moving and not any(map(len, movers)):
             return window_over(around, tall, smallest=SMALLEST)
         if self.shows_whole_ways:
             return window_over([*moving, *around], tall, smallest=SMALLEST)
         if self.is_planar:
             return window_over(around, tall, smallest=SMALLEST, moving=moving)
-        return window_around(moving, tall, also=around)
-
-
-def _map_of(run: Playback) -> tuple[NDArray[np.float64], float]:
-    """Occupied voxels of a run, and their size."""
-    if run.voxel_map is None:
-        return np.empty((0, 3)), 1.0
-    from lidar_core import VoxelMap
-
-    voxel_map = VoxelMap.load(run.voxel_map)
-    return voxel_map.occupied_points(), voxel_map.config.voxel_size
+        return window_around(moving, tall, movers=movers, also=around)
 
 
 def _compose(
@@ -333,7 +332,7 @@ def _draw_points(
     far = moment.points[:, 3 - sum(axes)]
     inside = ((flat >= window.low) & (flat <= window.high)).all(axis=1)
     rows = np.flatnonzero(inside & (far >= depth[0]) & (far <= depth[1]))
-    rows = rows[:: max(1, -(-len(rows) // MOST_POINTS))]
+    rows = rows[thinned(moment.points[rows], moment.point_class[rows], MOST_POINTS)]
     for kind, colour in POINT_COLOURS.items():
         chosen = flat[rows[moment.point_class[rows] == kind]]
         if (moment.point_class == kind).any():

@@ -12,6 +12,7 @@ from lidar_core.extras import require
 from lidar_core.io.files.atomic import check_place, written_whole
 from lidar_core.messages import ShownClass
 from lidar_core.objects import Objects
+from lidar_core.viz.drawing.frame import box_of_movers
 from lidar_core.viz.playback import Moment, Playback
 from lidar_core.viz.rerun_process import PURPOSE, free_port, rerun_process
 
@@ -183,11 +184,12 @@ def write_rerun(run: Playback, path: str | Path) -> Path:
         log.begin()
         if run.voxel_map is not None:
             log.log_map(run.voxel_map)
-        places = [objects.position for _, objects in run.steps() if len(objects.id)]
-        if places:
-            log.frame(np.concatenate(places))
+        places = [np.empty((0, 3)), *(objects.position for _, objects in run.steps())]
         for moment in run.moments():
             log.log(moment)
+            places.append(box_of_movers(moment.movers))
+        if len(seen := np.concatenate(places)):
+            log.frame(seen)
         log.close()
     return place
 

@@ -16,10 +16,10 @@ from commands import invoke
 import lidar_core as lc
 from lidar_core import sim
 from lidar_core.errors import FormatError
-from lidar_core.messages import ShownClass
-from lidar_core.viz import Moment, Objects, Playback, draw_film, draw_moment, write_report
+from lidar_core.viz import Playback, draw_film, draw_moment, write_report
+from lidar_core.viz.drawing.thinning import evenly
 from lidar_core.viz.report.charts import MOST_DRAWN
-from lidar_core.viz.report.scene import MOST_MOMENTS, MOST_PLACES, _thinned
+from lidar_core.viz.report.scene import MOST_MOMENTS, MOST_PLACES, MOST_VOXELS
 from lidar_core.viz.report.seen import first_seen
 
 SCANS = 15
@@ -117,8 +117,8 @@ def test_the_view_shows_what_the_run_holds(demo, tmp_path):
             )
     occupied = lc.VoxelMap.load(demo / "map.lcvm").occupied_points()
     shown = unpacked(scene, scene["voxels"])
-    stride = -(-len(occupied) // len(shown))
-    np.testing.assert_allclose(shown, occupied[::stride], atol=scene["lattice"]["step"])
+    occupied = occupied[evenly(len(occupied), MOST_VOXELS)]
+    np.testing.assert_allclose(shown, occupied, atol=scene["lattice"]["step"])
     assert len(scene["truth"]) == 2
     assert not scene["planar"]
     for moment, place in zip(moments, scene["sensors"], strict=True):
@@ -188,25 +188,6 @@ def test_scans_of_a_recording_are_in_the_view(circles, tmp_path):
         np.testing.assert_allclose(
             unpacked(scene, kept["points"]), moment.points, atol=scene["lattice"]["step"]
         )
-
-
-def test_points_that_are_not_background_are_kept_first():
-    rng = np.random.default_rng(0)
-    classes = np.full(10_000, ShownClass.BACKGROUND, np.uint8)
-    classes[::1000] = ShownClass.FLYING
-    nothing = Objects(
-        id=np.empty(0, np.int64),
-        position=np.empty((0, 3)),
-        velocity=np.empty((0, 3)),
-        covariance=np.empty((0, 3, 3)),
-        size=np.empty((0, 3)),
-    )
-    moment = Moment(0, rng.normal(size=(10_000, 3)).astype(np.float32), classes, nothing)
-    points, kept = _thinned(moment, 100)
-    assert len(points) <= 100
-    assert (kept == ShownClass.FLYING).sum() == 10
-    assert len(_thinned(moment, 5)[0]) <= 5
-    assert len(_thinned(moment, 20_000)[0]) == 10_000
 
 
 @pytest.mark.nightly

@@ -1,1 +1,1 @@
-"""Shared parts of pictures: the visible part of the world, IDs of tracks, scale bars."""
+"""Shared parts of pictures: visible part of the world, drawn points, IDs of tracks, scale bars."""

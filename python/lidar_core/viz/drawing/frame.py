@@ -7,8 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core.geometry import cluster_points
+
 TIMES = 3.0
 """Ratio of the size of a picture to the extent of moving objects: the rest shows surroundings."""
+MOVER_TIMES = 2.0
+"""Same for what moves on the ground, often all around the sensor: a legend leaves it in sight."""
 MOST_TIMES = 5.0
 """Largest ratio if the picture grows to show the sensor."""
 SMALLEST = 8.0
@@ -23,6 +27,8 @@ LEGEND = 0.25
 """Largest share of the height that a legend takes, on half of the width."""
 BULK = (0.02, 0.98)
 """Quantiles of the points between which a picture without moving objects extends."""
+NEIGHBOUR, FEWEST = 2.0, 5
+"""Largest step from a point of a mover to the next one [m], and least number of its points."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,19 +79,22 @@ def window_around(
     moving: Iterable[NDArray[np.float64]],
     tall: float,
     *,
+    movers: Iterable[NDArray[np.float64]] = (),
     also: Iterable[NDArray[np.float64]] = (),
     times: float = TIMES,
     smallest: float = SMALLEST,
 ) -> Window:
-    """Return a rectangle with moving objects in its middle.
+    """Return a rectangle with all that moves in its middle.
 
-    It is `times` as large as the range of moving objects. It grows until it shows `also`, but at
-    most to `MOST_TIMES` of that range, so that moving objects stay visible.
+    It is `times` as large as the range of moving objects, and `MOVER_TIMES` as large as that of
+    these and `movers` together. It grows until it shows `also`, but at most by `MOST_TIMES` over
+    `TIMES`, so that what moves stays visible.
 
     Parameters
     ----------
-    moving, also : iterable of ndarray, shape (N, 2)
-        Places [m]; rows that are not finite are left out.
+    moving, movers, also : iterable of ndarray, shape (N, 2)
+        Places [m] of tracked objects, of what moves on the ground, and of what is shown if it is
+        near; rows that are not finite are left out.
     tall : float
         Height of the panel over its width.
     times : float
@@ -97,13 +106,15 @@ def window_around(
     -------
     window : Window
     """
-    seen, rest = _finite(moving), _finite(also)
-    focus = seen if len(seen) else rest
+    seen, walks, rest = _finite(moving), _finite(movers), _finite(also)
+    both, shape = np.concatenate([seen, walks]), np.array([1.0, tall])
+    focus = both if len(both) else rest
     if not len(focus):
         focus = np.zeros((1, 2))
-    low, high = focus.min(axis=0), focus.max(axis=0)
-    middle, shape = (low + high) / 2, np.array([1.0, tall])
-    least = max(float(((high - low) / shape).max()) * times, smallest / min(1.0, tall))
+    middle = (focus.min(axis=0) + focus.max(axis=0)) / 2
+    least = max(_width(seen if len(both) else focus, shape) * times, smallest / min(1.0, tall))
+    if len(walks):
+        least = max(least, _width(both, shape) * MOVER_TIMES)
     most = least / times * max(times, MOST_TIMES)
     reach = 2 * np.abs(rest - middle).max(axis=0, initial=0.0) / shape * EDGE
     half = min(max(least, float(reach.max())), most) * shape / 2
@@ -157,11 +168,27 @@ def bulk_of(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.quantile(points, BULK, axis=0))
 
 
+def box_of_movers(points: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Corners (2, 3) of the box around points (N, 3) that move on the ground; (0, 3) without any.
+
+    A point belongs to it only if it is one of at least `FEWEST` with steps of at most `NEIGHBOUR`:
+    a stray one far away does not count.
+    """
+    labels = cluster_points(points, max_distance=NEIGHBOUR, min_points=FEWEST)
+    found = np.asarray(points, np.float64)[labels >= 0]
+    return np.stack([found.min(axis=0), found.max(axis=0)]) if len(found) else np.empty((0, 3))
+
+
 def panel_tallness(axes: Any) -> float:
     """Height of a panel over its width, as laid out, before an aspect shrinks it."""
     width, height = axes.figure.get_size_inches()
     place = axes.get_subplotspec().get_position(axes.figure)
     return float(place.height * height / (place.width * width))
+
+
+def _width(rows: NDArray[np.float64], shape: NDArray[np.float64]) -> float:
+    """Width of the smallest rectangle of the shape (width 1, height) that holds the rows [m]."""
+    return float((np.ptp(rows, axis=0) / shape).max()) if len(rows) else 0.0
 
 
 def _finite(parts: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:

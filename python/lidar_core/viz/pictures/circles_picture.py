@@ -15,6 +15,7 @@ from lidar_core.objects import CircleElements, ShapeElements
 from lidar_core.viz.drawing.frame import Window, panel_tallness, window_over
 from lidar_core.viz.drawing.labels import Label, draw_labels
 from lidar_core.viz.drawing.marks import WAY, colours_of, scale_bar, sensor_mark
+from lidar_core.viz.drawing.thinning import evenly
 from lidar_core.viz.figure import (
     INK,
     PURPOSE,
@@ -194,7 +195,7 @@ def _drawn_at_end(view: CirclesView) -> dict[int, tuple[CircleElements, int]]:
 def _earlier(axes: Any, view: CirclesView) -> None:
     """Draw the points of all scans in a pale colour."""
     rows = np.concatenate([np.empty((0, 2)), *view.points])
-    rows = rows[:: max(1, -(-len(rows) // MOST_POINTS))]
+    rows = rows[evenly(len(rows), MOST_POINTS)]
     axes.scatter(rows[:, 0], rows[:, 1], s=0.4, c=EARLIER, linewidths=0, zorder=1, rasterized=True)
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from lidar_core.messages import ShownClass
 from lidar_core.viz.drawing.frame import (
     Window,
+    box_of_movers,
     bulk_of,
     panel_tallness,
     window_around,
@@ -24,6 +25,7 @@ from lidar_core.viz.drawing.marks import (
     sensor_mark,
     sigma_ellipse,
 )
+from lidar_core.viz.drawing.thinning import evenly, thinned
 from lidar_core.viz.drawing.voxels import draw_voxels, visible_rows
 from lidar_core.viz.figure import (
     INK,
@@ -38,14 +40,14 @@ from lidar_core.viz.views import FlyingView
 SIZE, DPI = (14.0, 8.2), 110
 FLYING, UNKNOWN, OWN, MOVING = "#fb7185", "#f59e0b", "#a855f7", "#2563eb"
 CLOUDS = (
-    ("background, last scan", "#64748b", 0.6),
-    ("unknown, last scan", UNKNOWN, 2.5),
-    ("own body, last scan", OWN, 2.5),
-    ("moving on the ground, all scans", MOVING, 1.5),
-    ("flying, all scans", FLYING, 1.0),
+    (ShownClass.BACKGROUND, "background, last scan", "#64748b", 0.6),
+    (ShownClass.UNKNOWN, "unknown, last scan", UNKNOWN, 2.5),
+    (ShownClass.OWN_BODY, "own body, last scan", OWN, 2.5),
+    (ShownClass.MOVING, "moving on the ground, all scans", MOVING, 1.5),
+    (ShownClass.FLYING, "flying, all scans", FLYING, 1.0),
 )
 """Name, colour and size of the points of each class."""
-MOST_POINTS = 40_000  # drawn of a cloud or map: more only makes the picture heavy
+MOST_POINTS = 40_000  # drawn of each class: more only makes the picture heavy
 SMALLEST = 4.0  # width of what is shown where there are no tracks [m]
 MOST_LABELS = 8  # in the legend: more hide the curves
 MOST_NUMBERS = 40  # tracks with a number beside them, the longest
@@ -99,7 +101,7 @@ def _compose(figure: Any, view: FlyingView) -> None:
 
 
 def _window(view: FlyingView, plane: tuple[int, int], tall: float) -> Window:
-    """Return the window of a panel around the tracks, else the targets, else moving points.
+    """Return the window of a panel around tracks, else targets, and what moves on the ground.
 
     It includes the sensor if that is near. If nothing moves, it shows the sensor and most points
     of the last scan.
@@ -107,13 +109,11 @@ def _window(view: FlyingView, plane: tuple[int, int], tall: float) -> Window:
     columns = list(plane)
     tracks = [item.position[:, columns] for item in view.tracks]
     moving = tracks if sum(map(len, tracks)) else [way[:, columns] for way in view.truth.values()]
-    if not sum(map(len, moving)):
-        moving = [bulk_of(view.moving)[:, columns]]
-    sensor = view.sensor[-1:, columns]
-    if not sum(map(len, moving)):
+    movers, sensor = box_of_movers(view.moving)[:, columns], view.sensor[-1:, columns]
+    if not sum(map(len, moving)) + len(movers):
         known = view.cloud if len(view.cloud) else view.occupied
         return window_over([bulk_of(known)[:, columns], sensor], tall, smallest=SMALLEST)
-    return window_around(moving, tall, also=[sensor])
+    return window_around(moving, tall, movers=[movers], also=[sensor])
 
 
 def _in_sight(view: FlyingView, plan: Window) -> list[NDArray[np.float64]]:
@@ -135,11 +135,11 @@ def _map(
     across, up = plane
     window.apply(axes)
     draw_voxels(axes, view.occupied, view.voxel_size, plane, window, depth)
-    for cloud, (name, colour, size) in zip(_by_class(view), CLOUDS, strict=True):
+    for cloud, (kind, name, colour, size) in zip(_by_class(view), CLOUDS, strict=True):
         if colour in (OWN, MOVING, FLYING) and not len(cloud):
             continue  # most robots hide nothing, and often nothing moves
         rows = visible_rows(cloud, plane, window, depth)
-        rows = rows[:: max(1, -(-len(rows) // MOST_POINTS))]
+        rows = rows[thinned(rows, np.full(len(rows), kind, np.uint8), MOST_POINTS)]
         axes.scatter(
             rows[:, across], rows[:, up], s=size, c=colour, linewidths=0, zorder=2, rasterized=True
         )
@@ -159,8 +159,7 @@ def _map(
 
 def _by_class(view: FlyingView) -> list[NDArray[np.float64]]:
     """Return the points of each class, in the order of `CLOUDS`."""
-    classes = (ShownClass.BACKGROUND, ShownClass.UNKNOWN, ShownClass.OWN_BODY)
-    last = (view.cloud[view.cloud_class == one] for one in classes)
+    last = (view.cloud[view.cloud_class == kind] for kind, *_ in CLOUDS[:3])
     return [*last, view.moving, view.flying]
 
 
@@ -211,8 +210,8 @@ def _seconds(view: FlyingView, stamps: NDArray[np.int64]) -> NDArray[np.float64]
 def _distances(axes: Any, view: FlyingView) -> None:
     """Draw distances of tracks, targets and moving points from the sensor over time."""
     time = _seconds(view, view.stamp_ns)
-    every = max(1, -(-len(view.moving) // MOST_POINTS))
-    moving, at = view.moving[::every], view.moving_scan[::every]
+    shown = evenly(len(view.moving), MOST_POINTS)
+    moving, at = view.moving[shown], view.moving_scan[shown]
     if len(moving):
         away = np.linalg.norm(moving - view.sensor[at], axis=1)
         axes.scatter(time[at], away, s=3, c=MOVING, linewidths=0, zorder=4, rasterized=True)

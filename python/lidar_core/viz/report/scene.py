@@ -2,13 +2,13 @@
 
 from base64 import b64decode, b64encode
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.messages import ShownClass
+from lidar_core.viz.drawing.frame import box_of_movers
+from lidar_core.viz.drawing.thinning import evenly, thinned
 from lidar_core.viz.playback import Moment, Playback
 from lidar_core.viz.report.seen import first_seen
 
@@ -43,13 +43,19 @@ def scene_of(
     -------
     scene : dict
         Times [s], and for each time sensor, objects, outlines and points; for each voxel the index
-        of the time from which on it is shown. Positions are in the world frame [m]; those of
-        points and voxels are steps of a lattice, in base64.
+        of the time from which on it is shown; corners of the boxes around what moves on the
+        ground. Positions are in the world frame [m]; those of points and voxels are steps of a
+        lattice, in base64.
     """
     moments = list(_picked(run))
-    voxels, voxel_size = _voxels(run.voxel_map)
+    voxels, voxel_size = run.occupied()
+    voxels = voxels[evenly(len(voxels), MOST_VOXELS)]
     per_scan = MOST_POINTS // max(1, sum(len(moment.points) > 0 for moment in moments))
-    clouds = [_thinned(moment, per_scan) for moment in moments]
+    kept = [thinned(moment.points, moment.point_class, per_scan) for moment in moments]
+    clouds = [
+        (moment.points[rows], moment.point_class[rows])
+        for moment, rows in zip(moments, kept, strict=True)
+    ]
     measured = [] if has_known_map else [moment.points for moment in moments]
     lattice = _Lattice([voxels, *(points for points, _ in clouds)])
     return {
@@ -68,6 +74,9 @@ def scene_of(
             for moment in moments
         ],
         "objects": [_objects(moment) for moment in moments],
+        "movers": [
+            corner for one in moments for corner in box_of_movers(one.movers).round(3).tolist()
+        ],
         "outlines": [
             [
                 {"points": np.round(one.points, 3).tolist(), "visible": bool(one.visible)}
@@ -76,7 +85,7 @@ def scene_of(
             for moment in moments
         ],
         "truth": [
-            np.round(way[_rows(len(way), MOST_PLACES)], 3).tolist() for way in truth.values()
+            np.round(way[evenly(len(way), MOST_PLACES)], 3).tolist() for way in truth.values()
         ],
     }
 
@@ -96,35 +105,7 @@ def map_note(scene: Mapping[str, Any]) -> str:
 def _picked(run: Playback) -> Iterator[Moment]:
     """Yield moments with a scan, or all if no scans were kept; thinned evenly, with the last."""
     times = run.times()
-    yield from run.moments({times[row] for row in _rows(len(times), MOST_MOMENTS).tolist()})
-
-
-def _rows(count: int, most: int) -> NDArray[np.int64]:
-    """Indices of at most `most` of `count` rows, evenly spaced, with the first and the last."""
-    return np.linspace(0, count - 1, min(count, most)).round().astype(np.int64)
-
-
-def _thinned(moment: Moment, most: int) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """At most `most` points and classes: first those not in the background, then background."""
-    is_plain = moment.point_class <= ShownClass.BACKGROUND
-    marked, plain = np.flatnonzero(~is_plain), np.flatnonzero(is_plain)
-    marked = marked[:: max(1, -(-len(marked) // max(1, most)))]
-    room = max(0, most - len(marked))
-    plain = plain[:: max(1, -(-len(plain) // room))] if room else plain[:0]
-    rows = np.concatenate([plain, marked])
-    return moment.points[rows], moment.point_class[rows]
-
-
-def _voxels(path: Path | None) -> tuple[NDArray[np.float64], float]:
-    """Centres (V, 3) [m] of occupied voxels of the map of a run, thinned evenly; their side."""
-    if path is None:
-        return np.empty((0, 3)), 1.0
-    from lidar_core.flying.voxel_map import VoxelMap
-
-    kept = VoxelMap.load(path)
-    centers = kept.occupied_points()
-    thinned = centers[:: max(1, -(-len(centers) // MOST_VOXELS))]
-    return thinned, float(kept.config.voxel_size)
+    yield from run.moments({times[row] for row in evenly(len(times), MOST_MOMENTS).tolist()})
 
 
 def _objects(moment: Moment) -> list[dict[str, Any]]:

@@ -66,7 +66,10 @@
 
   function* moving() {
     for (const way of ways.values()) for (const [, position] of way) yield position;
+    yield* scene.movers;
   }
+
+  const nearest = () => (ways.size || scene.movers.length ? moving() : everything());
 
   // Objects get room around them, so that the picture also shows where they are.
   function fit(list, room) {
@@ -243,7 +246,7 @@
   const turned = (yaw, tilt) => () => { camera.yaw = yaw; camera.tilt = tilt; draw(); };
   element("top").addEventListener("click", turned(0, Math.PI / 2));
   element("side").addEventListener("click", turned(0, 0));
-  element("near").addEventListener("click", () => fit(ways.size ? moving() : everything(), NEAR));
+  element("near").addEventListener("click", () => fit(nearest(), NEAR));
   element("all").addEventListener("click", () => fit(everything(), ALL));
   for (const name of ["voxels", "points", "trails", "numbers", "spread"]) element(name).addEventListener("change", draw);
   window.addEventListener("resize", draw);
@@ -264,5 +267,5 @@
 
   slider.max = Math.max(0, scene.times.length - 1);
   slider.value = slider.max;
-  fit(ways.size ? moving() : everything(), NEAR);
+  fit(nearest(), NEAR);
 })();
