@@ -68,24 +68,21 @@ def moved(points: Array, of_point: NDArray[np.int64], parts: Array, motion: Arra
     return np.einsum("nij,nj->ni", poses[:, :3, :3], points) + poses[:, :3, 3]
 
 
-def distance(point: Array, others: Array, is_in_sight: bool) -> tuple[float, float]:
+def distance(point: Array, others: Array) -> tuple[float, float]:
     """Distance of a point from the surface around it, and roughness of that surface [m].
 
-    The distance is the radius of the search if nothing is there and something would be seen. It is
-    NaN if the points near it are few or no surface.
+    They are NaN if the points near it are few or no surface, as between rows.
     """
     apart = others - point
     squares = np.sum(apart**2, axis=1)
     wide = max(0.5, 0.06 * float(np.linalg.norm(point)))
-    for reach in (0.5, wide):
+    for reach in (0.5, wide):  # the larger one is for sensors with few rows
         near = apart[squares <= reach**2]
         if len(near) < 6:
             continue
         values, vectors = np.linalg.eigh(np.cov(near.T, bias=True))
-        if values[0] <= 0.1 * values[1] and values[1] >= 0.02 * values[2]:
+        if values[0] <= 0.1 * values[1] and values[1] >= 0.1 * values[2]:
             return abs(vectors[:, 0] @ near.mean(0)), max(0.02, np.sqrt(max(0.0, values[0])))
-    if is_in_sight and not np.any(squares <= wide**2):
-        return wide, 0.02
     return np.nan, np.nan
 
 
@@ -119,8 +116,10 @@ def evidence_of(points: Array, motion: Array) -> float:
     head = np.flatnonzero(is_near & (angle < overlap + 0.35))
     tail = np.flatnonzero(is_near & (angle >= 2 * np.pi))
     step = max(1, -(-len(tail) // 200))
+    if not len(head):
+        return 0.0
     ends = angle[head].max(), (angle + sense * yaw[of_point])[head].max()
-    votes = 0
+    votes, compared = 0, 0
     for row in tail[::step]:
         at = angle[row] - 2 * np.pi
         turned = np.arctan2(*later[row, 1::-1]) - np.arctan2(*points[row, 1::-1])
@@ -128,11 +127,11 @@ def evidence_of(points: Array, motion: Array) -> float:
         angles = at, at + sense * turned
         if any(not 0 <= one <= end for one, end in zip(angles, ends, strict=True)):
             continue
-        in_sight = [0.06 <= one <= end - 0.06 for one, end in zip(angles, ends, strict=True)]
-        votes += vote(
-            distance(points[row], points[head], in_sight[0]),
-            distance(later[row], later[head], in_sight[1]),
-        )
+        both = distance(points[row], points[head]), distance(later[row], later[head])
+        compared += not np.isnan(both).any()
+        votes += vote(*both)
+    if abs(votes) < max(3, 0.05 * compared):
+        return 0.0
     return float(np.clip(PER_VOTE * votes, -MOST_PER_SCAN, MOST_PER_SCAN))
 
 
@@ -142,10 +141,13 @@ def is_estimated(scans: list[Array], poses: list[Array]) -> list[bool]:
     for before, pose, points in zip(poses, poses[1:], scans[1:], strict=False):
         motion = np.linalg.inv(before) @ pose
         turned = np.linalg.norm(motion[:2, :3] - np.eye(3)[:2], axis=1).max()
-        if max(np.linalg.norm(motion[:3, 3]), 10 * turned) < 0.02:
+        shift = max(np.linalg.norm(motion[:3, 3]), 10 * turned)
+        if shift < 0.02:
             found.append(False)
             continue
-        evidence = evidence_of(points, motion)
+        evidence = evidence_of(points, motion) if shift >= 0.15 else 0.0
         found.append(total + evidence > ENOUGH and parts_of_scan(points) is not None)
-        total = float(np.clip(total + evidence, -MOST, MOST))
+        was_enough, total = total > ENOUGH, float(np.clip(total + evidence, -MOST, MOST))
+        if total > ENOUGH and not was_enough:
+            total = MOST
     return found

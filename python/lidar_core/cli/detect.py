@@ -115,7 +115,7 @@ SKY = {
 """What `frame.status.sky` says, for people."""
 POINT_TIMES = {
     "given": "by the recording",
-    "estimated": "from the order of the points in a turn of the sensor",
+    "estimated": "where the sensor moves, from the order of the points in a turn",
     "none": "all points of a scan are taken to be of one time",
 }
 """What `frame.status.point_times` says, for people."""

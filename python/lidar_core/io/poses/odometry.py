@@ -36,7 +36,7 @@ COARSE = 4
 registration looks for neighbours in adjacent voxels only, and a car moves further than that."""
 FEWEST, LEAST_SHARE = 50, 0.35
 """Points, and share of them near the map, below which a scan is not placed."""
-HELD = 6
+HELD = 12
 """First scans of a recording that show whether clouds without times are as measured."""
 LOST_IN_A_ROW = 10
 JUMP, JUMP_ANGLE = 3.0, np.radians(30.0)

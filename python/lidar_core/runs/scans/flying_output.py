@@ -260,6 +260,15 @@ class FlyingRun:
         return self._shares[-1][1] if self._shares else 0.0
 
     @property
+    def point_times(self) -> str:
+        """Source of the times of points: "estimated" if it is that of any scan, else the last one.
+
+        A sensor that stands for a while needs no times.
+        """
+        found = [frame.status.point_times for frame in self.frames]
+        return "estimated" if "estimated" in found else self.detector.health().point_times
+
+    @property
     def flying(self) -> list[Tracks]:
         """Tracks of kind FLYING, scan by scan."""
         return [tracks.flying for tracks in self.tracks]
@@ -342,7 +351,7 @@ class FlyingRun:
             "sky": self.sky,
             "sky_share": self.sky_share,
             "own_body": self.own_body,
-            "point_times": health.point_times,
+            "point_times": self.point_times,
             "detections": self.n_detections,
             "tracks": len(self.track_ids),
             "tracks_ground": len(self.ground_ids),

@@ -52,7 +52,7 @@ def test_the_way_is_right_though_the_clouds_have_no_times(turn):
 
 
 def test_a_turning_sensor_is_followed():
-    clouds, truth = furnished(speed=5.0, yaw_rate=0.8)
+    clouds, truth = furnished(scans=13, speed=5.0, yaw_rate=0.5)
     _, angle = errors(placed(clouds), truth)
     assert angle[5:].max() < 0.1  # 0.3 deg without their times
 

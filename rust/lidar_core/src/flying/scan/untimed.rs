@@ -19,6 +19,8 @@ use std::f64::consts::TAU;
 const LEAST_SHIFT: f64 = 0.02;
 /// Distance of a point that shows a turn of the sensor [m].
 const TURN_ARM: f64 = 10.0;
+/// Shift from which on the two ends are compared [m]. Poses of a sensor that stands are noisy, too.
+const EVIDENT_SHIFT: f64 = 0.15;
 /// A time between scans of more than this many usual ones means that scans are missing.
 const GAP: f64 = 1.5;
 /// Smallest overlap of the ends that is compared [rad]. A smaller one may be all of one surface.
@@ -38,7 +40,7 @@ const FEWEST: f64 = 6.0;
 /// Points are a surface if the variance across it is at most this share of the smaller one along it, and this share of
 /// the larger one along it is at most the smaller one.
 const FLAT: f64 = 0.1;
-const WIDE: f64 = 0.02;
+const WIDE: f64 = 0.1;
 /// Least roughness of a surface [m].
 const ROUGHNESS: f64 = 0.02;
 /// A point votes if its distances from the two surfaces differ by more than this [m], and by more than this number of
@@ -46,12 +48,16 @@ const ROUGHNESS: f64 = 0.02;
 const LEAST_DIFFERENCE: f64 = 0.05;
 const APART: f64 = 3.0;
 const FITS: f64 = 2.0;
+/// Smallest excess of votes that counts, and as a share of the compared points. Fewer are noise.
+const FEWEST_VOTES: f64 = 3.0;
+const VOTES_SHARE: f64 = 0.05;
 /// Logarithm of odds per vote. Votes depend on one another, because many are of one surface.
 const PER_VOTE: f64 = 0.35;
 /// Largest evidence of one scan, and of all scans (logarithms of odds).
 const MOST_PER_SCAN: f64 = 2.0;
 const MOST: f64 = 10.0;
-/// Evidence from which on points are moved: odds of 99 to 1.
+/// Evidence from which on points are moved: odds of 99 to 1. A sensor whose points are moved once has the largest
+/// evidence, so that single scans do not switch.
 const ENOUGH: f64 = 4.6;
 
 /// Where the times of the points of a scan come from.
@@ -125,29 +131,33 @@ impl Untimed {
     ) -> Option<SweepMotion> {
         let period = self.period.unwrap_or(seconds);
         let scans = if seconds > GAP * period { (seconds / period).round() } else { 1.0 };
-        let turned = minus(motion.rotation[0], Transform::IDENTITY.rotation[0]);
-        let turned = norm(turned).max(norm(minus(motion.rotation[1], [0.0, 1.0, 0.0])));
-        if norm(motion.translation).max(TURN_ARM * turned) < LEAST_SHIFT * scans {
+        if shift_of(motion) < LEAST_SHIFT * scans {
             return None;
         }
         let is_point = |row: usize| raw.no_return.is_none_or(|flags| !flags[row]);
         let sweep = Sweep::of(raw.points, returns, is_point)?;
         let poses = poses_of(&sweep, motion, scans);
-        let evidence = evidence_of(raw.points, is_point, &sweep, &poses);
+        let is_evident = shift_of(motion) >= EVIDENT_SHIFT * scans;
+        let evidence =
+            if is_evident { evidence_of(raw.points, is_point, &sweep, &poses) } else { 0.0 };
         let is_skewed = self.evidence + evidence > ENOUGH;
         Some(SweepMotion { sweep, poses, seconds: seconds / scans, evidence, is_skewed })
     }
 
     /// Learn from an accepted scan. `seconds`: time since the last scan.
     pub(super) fn learn(&mut self, evidence: f64, seconds: Option<f64>) {
+        let was_enough = self.evidence > ENOUGH;
         self.evidence = (self.evidence + evidence).clamp(-MOST, MOST);
+        if self.evidence > ENOUGH && !was_enough {
+            self.evidence = MOST;
+        }
         if let Some(seconds) = seconds.filter(|&seconds| seconds > 0.0) {
-            let is_usual = |period: f64| seconds * GAP > period && seconds < GAP * period;
-            self.period = match self.period {
-                Some(period) if is_usual(period) => Some(period + 0.1 * (seconds - period)),
-                Some(period) if seconds > period => Some(period), // scans are missing
-                _ => Some(seconds),
+            // Steps towards the median: single gaps and late stamps hardly count.
+            let step = |period: f64| match seconds / period {
+                ratio if ratio > 3.0 => 1.5,
+                ratio => ratio.clamp(0.95, 1.05),
             };
+            self.period = Some(self.period.map_or(seconds, |period| period * step(period)));
         }
     }
 }
@@ -179,11 +189,19 @@ impl SweepTimes {
         }
         let Some(sweep) = Sweep::of(points, 1, |_| true) else { return Ok(None) };
         let poses = poses_of(&sweep, motion, 1.0);
-        self.known.learn(evidence_of(points, |_| true, &sweep, &poses), None);
+        if shift_of(motion) >= EVIDENT_SHIFT {
+            self.known.learn(evidence_of(points, |_| true, &sweep, &poses), None);
+        }
         let parts: Vec<f64> = sweep.parts().collect();
         let of_points = (0..points.len()).map(|row| parts[sweep.block_of(row)]);
         Ok((self.known.evidence > ENOUGH).then(|| of_points.collect()))
     }
+}
+
+/// Shift of a point by a motion, at most [m]: at the sensor, or by its turn at `TURN_ARM`.
+fn shift_of(motion: &Transform) -> f64 {
+    let turned = |row: usize| norm(minus(motion.rotation[row], Transform::IDENTITY.rotation[row]));
+    norm(motion.translation).max(TURN_ARM * turned(0).max(turned(1)))
 }
 
 /// Pose of the sensor at every block of a scan, relative to the middle of the scan. `motion`: from the last scan to this
@@ -235,7 +253,10 @@ fn votes(
         let given = as_given.offset(point, angle)?;
         Some(vote(given, with_motion.offset(later, angle + sweep.sense * turned)?))
     };
-    tail.iter().step_by(step).filter_map(vote_of).sum()
+    let votes: Vec<f64> = tail.iter().step_by(step).filter_map(vote_of).collect();
+    let excess: f64 = votes.iter().sum();
+    let fewest = (VOTES_SHARE * votes.len() as f64).max(FEWEST_VOTES);
+    if excess.abs() >= fewest { excess } else { 0.0 }
 }
 
 /// Distance of a point from the surface around it, and the roughness of that surface [m].
@@ -287,7 +308,7 @@ impl FirstEnd {
     }
 
     /// Offset of `point` from the surface around it. `angle`: its direction. None if the points near it are few or no
-    /// surface, or if its direction is not in sight. Where nothing is near, the distance is the radius of the search.
+    /// surface, as between rows, or if its direction is not in sight.
     fn offset(&self, point: [f64; 3], angle: f64) -> Option<Offset> {
         let end = *self.angles.last()?;
         if !(0.0..=end).contains(&angle) {
@@ -308,10 +329,7 @@ impl FirstEnd {
                 }
             }
         }
-        let surface = close.surface().or_else(|| around.surface());
-        let is_in_sight = (WIDE_REACH..=end - WIDE_REACH).contains(&angle);
-        let nothing = Offset { distance: reach, roughness: ROUGHNESS };
-        surface.or((around.count == 0.0 && is_in_sight).then_some(nothing))
+        close.surface().or_else(|| around.surface())
     }
 }
 
@@ -392,10 +410,29 @@ mod tests {
             known.learn(0.0, Some(seconds));
         }
         assert!(known.period.is_some_and(|period| (period - 0.1).abs() < 0.01));
-        known.learn(0.0, Some(0.05)); // the first ones were gaps
-        assert_eq!(known.period, Some(0.05));
+        for seconds in [0.19, 0.01, 1e-9] {
+            known.learn(0.0, Some(seconds)); // late stamps
+        }
+        assert!(known.period.is_some_and(|period| (period - 0.1).abs() < 0.02));
+        let mut after_gap = Untimed::default();
+        for seconds in [0.5, 0.1, 0.1] {
+            after_gap.learn(0.0, Some(seconds));
+        }
+        (0..60).for_each(|_| after_gap.learn(0.0, Some(0.1)));
+        assert!(after_gap.period.is_some_and(|period| (period - 0.1).abs() < 0.01));
         known.learn(0.0, None);
         known.learn(1e6, Some(0.0));
-        assert_eq!((known.period, known.evidence), (Some(0.05), MOST));
+        assert_eq!(known.evidence, MOST);
+    }
+
+    #[test]
+    fn one_scan_does_not_switch_what_is_known() {
+        let mut known = Untimed::default();
+        [2.0, 2.0, 2.0].into_iter().for_each(|evidence| known.learn(evidence, None));
+        assert_eq!(known.evidence, MOST);
+        known.learn(-2.0, None);
+        assert!(known.evidence > ENOUGH);
+        [-2.0, -2.0].into_iter().for_each(|evidence| known.learn(evidence, None));
+        assert!(known.evidence < ENOUGH);
     }
 }
