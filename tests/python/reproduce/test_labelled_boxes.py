@@ -90,8 +90,9 @@ def test_what_moves_and_is_not_found_lowers_the_recall():
 
 def test_an_object_of_unknown_speed_is_neither_right_nor_wrong():
     unknown = {name: speed for name, speed in SPEED.items() if name[0] != "Truck"}
-    part = counted(BOXES, unknown, [MOVING, MOVING, MOVING, MOVING, BACKGROUND])
-    assert part["moving"].tolist() == [[24, 0, 1, 1, 1, 1]]
+    for speed in (unknown, SPEED | {("Truck", "2"): 0.6}):
+        part = counted(BOXES, speed, [MOVING, MOVING, MOVING, MOVING, BACKGROUND])
+        assert part["moving"].tolist() == [[24, 0, 1, 1, 1, 1]]
     known = counted(BOXES, SPEED, [MOVING, MOVING, MOVING, MOVING, BACKGROUND])
     assert known["moving"].tolist() == [[24, 8, 1, 1, 1, 1]]
 

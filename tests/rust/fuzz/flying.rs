@@ -19,6 +19,7 @@ use lidar_core::flying::parameters::FlyingParameters;
 use lidar_core::flying::point_class::{classes_from_numbers, numbers_from_classes};
 use lidar_core::flying::scan::prepared::RawScan;
 use lidar_core::flying::scan::sensor::SensorParameters;
+use lidar_core::flying::scan::untimed::SweepTimes;
 use lidar_core::flying::sky::Beams;
 use lidar_core::flying::track::{
     Confirmation, Detections, OccupiedPoints, PointCloudTracker, TrackerParameters,
@@ -455,6 +456,17 @@ pub fn functions(bytes: &[u8]) {
         filtered(input.f64() as f32, input.f64() as f32, input.share()),
         two_to_minus(input.f64()),
     );
+    let (turn, reach) = (input.f64() % 20.0, input.f64() as f32);
+    let ring: Vec<[f32; 3]> = (0..1280)
+        .map(|at| {
+            let azimuth = turn * f64::from(at) / 1280.0;
+            [reach * azimuth.cos() as f32, reach * azimuth.sin() as f32, (at % 16) as f32 - 8.0]
+        })
+        .collect();
+    let mut times = SweepTimes::default();
+    for cloud in [&ring, &points, &ring] {
+        let _ = times.parts(cloud, &pose);
+    }
     let numbers = input.many(20, Input::byte);
     if let Ok(classes) = classes_from_numbers(&numbers) {
         assert_eq!(numbers_from_classes(classes), numbers);

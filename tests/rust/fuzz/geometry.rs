@@ -59,6 +59,8 @@ fn moved(input: &mut Input<'_>) -> Result<(), Error> {
     for point in 0..known.points() {
         let _ = known.at(point).apply(input.f64s());
     }
+    known.fill_blocks([one, other].into_iter(), times.len(), |point| point % 2);
+    let _ = (!times.is_empty()).then(|| known.at(times.len() - 1).apply(input.f64s()));
     let both = one.after(&other).interpolate(&one.inverse(), input.share());
     let _ = (both.rotate(input.f64s()), both.turn_covariance(&input.covariance()));
     let (a, b): ([f64; 3], [f64; 3]) = (input.f64s(), input.f64s());

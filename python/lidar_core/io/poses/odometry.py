@@ -5,6 +5,9 @@ registration. Its poses are those of the end of a scan, to which it deskews; her
 pose, or one at the start and one at the end, in the frame of the first scan's end. Clouds of a
 spinning sensor without times are deskewed, too, where they show that they are as measured; their
 pose is that of the middle of the turn, and the detector deskews them with the motion between poses.
+
+Longer than other files: times, motion and doubt of a scan are estimated in one step, and all of it
+serves that step.
 """
 
 import warnings

@@ -1,4 +1,7 @@
-"""Flying objects in scans: data that a run keeps for its tables, trajectories, map and picture."""
+"""Flying objects in scans: data that a run keeps for its tables, trajectories, map and picture.
+
+Longer than other files: it is one class, and every output of a run reads what it keeps.
+"""
 
 from collections import Counter
 from collections.abc import Mapping

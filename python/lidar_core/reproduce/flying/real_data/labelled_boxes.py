@@ -16,8 +16,9 @@ from lidar_core.reproduce.flying.real_data.sequences import RealSequence, unpack
 from lidar_core.reproduce.jobs import Part
 from lidar_core.reproduce.recordings import recording
 
-MOVING_SPEED = 0.5
-"""An object moves if it is faster on the way from its first to its last box [m/s]."""
+STANDING_SPEED, MOVING_SPEED = 0.3, 1.0
+"""Speeds on the way from the first to the last box of an object: it stands below the first one, and
+moves above the second one [m/s]. Labels are too coarse to tell what is between."""
 FEWEST_SCANS = 5
 """Scans from the first to the last box of an object, below which its speed is not known."""
 REACH = 20.0
@@ -108,8 +109,8 @@ class MovingCounts:
     """Counts of the points of moving objects, scan by scan, while the gate is open.
 
     right, wrong : MOVING points in and not in boxes of objects that move. Points in boxes of
-    unknown speed are neither. vehicle, person : boxes of vehicles with their riders, and of people,
-    that move within `REACH`; and the sum of the shares of their points that are MOVING, so that one
+    unknown speed, or of objects that creep, are neither. vehicle, person : boxes of vehicles with
+    their riders, and of people, that move within `REACH`; and the sum of the shares of their points that are MOVING, so that one
     large object does not hide what happens to small ones.
     """
 
@@ -127,7 +128,7 @@ class MovingCounts:
         counts = dict.fromkeys(COUNTS, 0.0)
         for box in self._boxes[number]:
             speed = self._speed.get(box.name)
-            if speed is None:
+            if speed is None or STANDING_SPEED <= speed <= MOVING_SPEED:
                 of_unknown |= box.holds(points, WIDE)
             elif speed > MOVING_SPEED:
                 of_mover |= box.holds(points, WIDE)

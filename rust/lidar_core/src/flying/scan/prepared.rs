@@ -1,4 +1,6 @@
 //! Preparation of a raw scan: points, rays and masks in the frame of the map.
+//!
+//! Longer than other files: every step fills lists of one scan, which have to stay of one length.
 
 use super::point_poses::Poses;
 pub use super::raw_scan::RawScan;

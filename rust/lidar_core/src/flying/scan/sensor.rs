@@ -1,4 +1,6 @@
 //! State of the detector for one LiDAR: last stamp, the robot itself, rays.
+//!
+//! Longer than other files: parameters, state and saved state of a sensor name the same properties.
 
 use super::body::Body;
 use super::raw_scan::RawScan;

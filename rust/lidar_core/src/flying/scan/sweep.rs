@@ -44,7 +44,7 @@ impl Sweep {
     ) -> Option<Self> {
         let rows = points.len() / returns.max(1);
         let block = (rows / BLOCKS).clamp(BLOCK[0], BLOCK[1]);
-        let mut steps = Steps::default();
+        let mut steps = BlockAzimuths::default();
         let count = rows / block;
         for number in 0..count {
             let mut sum = [0.0; 2];
@@ -86,7 +86,7 @@ impl Sweep {
 
 /// Unwrapped azimuths of blocks [rad].
 #[derive(Default)]
-struct Steps {
+struct BlockAzimuths {
     /// Number of a block, and its azimuth.
     known: Vec<(usize, f64)>,
     /// Sums of the steps of increasing and of decreasing azimuth [rad].
@@ -94,7 +94,7 @@ struct Steps {
     back: f64,
 }
 
-impl Steps {
+impl BlockAzimuths {
     /// Add a block. False if the step to it is too large.
     fn add(&mut self, number: usize, azimuth: f64) -> bool {
         let Some(&(_, last)) = self.known.last() else {

@@ -261,13 +261,13 @@ fn votes(
 
 /// Distance of a point from the surface around it, and the roughness of that surface [m].
 #[derive(Clone, Copy)]
-struct Offset {
+struct SurfaceOffset {
     distance: f64,
     roughness: f64,
 }
 
 /// 1 if a point fits better with the motion of the sensor, -1 if it fits better as given, 0 if neither is clear.
-fn vote(given: Offset, with_motion: Offset) -> f64 {
+fn vote(given: SurfaceOffset, with_motion: SurfaceOffset) -> f64 {
     let difference = given.distance - with_motion.distance;
     let better = if difference > 0.0 { with_motion } else { given };
     let is_clear = difference.abs() > (APART * better.roughness).max(LEAST_DIFFERENCE)
@@ -307,9 +307,9 @@ impl FirstEnd {
         Self { points, angles, shift }
     }
 
-    /// Offset of `point` from the surface around it. `angle`: its direction. None if the points near it are few or no
+    /// SurfaceOffset of `point` from the surface around it. `angle`: its direction. None if the points near it are few or no
     /// surface, as between rows, or if its direction is not in sight.
-    fn offset(&self, point: [f64; 3], angle: f64) -> Option<Offset> {
+    fn offset(&self, point: [f64; 3], angle: f64) -> Option<SurfaceOffset> {
         let end = *self.angles.last()?;
         if !(0.0..=end).contains(&angle) {
             return None;
@@ -318,7 +318,7 @@ impl FirstEnd {
         let width = asin(((reach + self.shift) / hypot(point[0], point[1])).min(1.0));
         let from = self.angles.partition_point(|&other| other < angle - width);
         let to = self.angles.partition_point(|&other| other <= angle + width);
-        let (mut close, mut around) = (Moments::default(), Moments::default());
+        let (mut close, mut around) = (NearPoints::default(), NearPoints::default());
         for &other in &self.points[from..to] {
             let apart = minus(other, point);
             let square = dot(apart, apart);
@@ -335,14 +335,14 @@ impl FirstEnd {
 
 /// Sums over points, given relative to the point whose distance is asked for.
 #[derive(Default)]
-struct Moments {
+struct NearPoints {
     count: f64,
     sum: [f64; 3],
     /// Sums of products of coordinates: xx, xy, xz, yy, yz, zz.
     products: [f64; 6],
 }
 
-impl Moments {
+impl NearPoints {
     fn add(&mut self, [x, y, z]: [f64; 3]) {
         self.count += 1.0;
         let products = [x * x, x * y, x * z, y * y, y * z, z * z];
@@ -350,8 +350,8 @@ impl Moments {
         self.products = std::array::from_fn(|at| self.products[at] + products[at]);
     }
 
-    /// Offset of the origin from the plane through the points. None if they are few, or not in a plane.
-    fn surface(&self) -> Option<Offset> {
+    /// SurfaceOffset of the origin from the plane through the points. None if they are few, or not in a plane.
+    fn surface(&self) -> Option<SurfaceOffset> {
         if self.count < FEWEST {
             return None;
         }
@@ -369,7 +369,7 @@ impl Moments {
         }
         let normal = eigen.eigenvectors.column(order[0]);
         let distance = dot([normal[0], normal[1], normal[2]], mean).abs();
-        Some(Offset { distance, roughness: across.max(0.0).sqrt().max(ROUGHNESS) })
+        Some(SurfaceOffset { distance, roughness: across.max(0.0).sqrt().max(ROUGHNESS) })
     }
 }
 
@@ -379,8 +379,8 @@ mod tests {
 
     #[test]
     fn a_plane_has_an_offset_and_a_line_has_none() {
-        let mut plane = Moments::default();
-        let mut line = Moments::default();
+        let mut plane = NearPoints::default();
+        let mut line = NearPoints::default();
         for at in 0..25 {
             let (x, y) = (f64::from(at % 5) * 0.1, f64::from(at / 5) * 0.1);
             plane.add([x - 0.3, y, 0.4]);
@@ -389,17 +389,17 @@ mod tests {
         let found = plane.surface().map(|surface| (surface.distance, surface.roughness));
         assert!(found.is_some_and(|(distance, _)| (distance - 0.4).abs() < 1e-9));
         assert!(found.is_some_and(|(_, roughness)| roughness == ROUGHNESS));
-        assert!(line.surface().is_none() && Moments::default().surface().is_none());
+        assert!(line.surface().is_none() && NearPoints::default().surface().is_none());
     }
 
     #[test]
     fn a_point_votes_for_the_surface_that_it_lies_on() {
-        let offset = |distance: f64| Offset { distance, roughness: 0.02 };
+        let offset = |distance: f64| SurfaceOffset { distance, roughness: 0.02 };
         assert_eq!(vote(offset(0.5), offset(0.01)), 1.0);
         assert_eq!(vote(offset(0.0), offset(0.3)), -1.0);
         assert_eq!(vote(offset(0.02), offset(0.01)), 0.0, "hardly a difference");
         assert_eq!(vote(offset(0.5), offset(0.2)), 0.0, "on neither");
-        let rough = Offset { distance: 0.1, roughness: 0.2 };
+        let rough = SurfaceOffset { distance: 0.1, roughness: 0.2 };
         assert_eq!(vote(offset(0.5), rough), 0.0, "on leaves");
     }
 
