@@ -110,8 +110,8 @@ class MovingCounts:
 
     right, wrong : MOVING points in and not in boxes of objects that move. Points in boxes of
     unknown speed, or of objects that creep, are neither. vehicle, person : boxes of vehicles with
-    their riders, and of people, that move within `REACH`; and the sum of the shares of their points that are MOVING, so that one
-    large object does not hide what happens to small ones.
+    their riders, and of people, that move within `REACH`; and the sum of the shares of their points
+    that are MOVING, so that one large object does not hide what happens to small ones.
     """
 
     def __init__(self, boxes: list[list[Box]], speed: dict[tuple[str, str], float]) -> None:
