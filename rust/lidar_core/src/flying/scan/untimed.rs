@@ -154,7 +154,7 @@ impl Untimed {
         if let Some(seconds) = seconds.filter(|&seconds| seconds > 0.0) {
             // Steps towards the median: single gaps and late stamps hardly count.
             let step = |period: f64| match seconds / period {
-                ratio if ratio > 3.0 => 1.5,
+                ratio if ratio > 20.0 => 1.5, // it began with an interval that is none
                 ratio => ratio.clamp(0.95, 1.05),
             };
             self.period = Some(self.period.map_or(seconds, |period| period * step(period)));
