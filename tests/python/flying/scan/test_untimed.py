@@ -41,6 +41,7 @@ CASES = {
 }
 
 
+@pytest.mark.ci_cases("straight", "turning", "noisy")
 @pytest.mark.parametrize("name", CASES)
 def test_points_are_moved_where_the_ends_show_it(name):
     scans, poses = drive(**CASES[name])
@@ -52,6 +53,7 @@ def test_points_are_moved_where_the_ends_show_it(name):
     assert detector.health().point_times == "estimated"
 
 
+@pytest.mark.ci_cases("turning", "noisy")
 @pytest.mark.parametrize("name", CASES)
 def test_points_that_a_driver_has_moved_are_left_alone(name):
     scans, poses = drive(**CASES[name], is_moved=True)

@@ -44,6 +44,7 @@ def errors(found, truth):
     return np.array([np.linalg.norm(one[:3, 3]) for one in apart]), angle
 
 
+@pytest.mark.ci_cases("1.09")
 @pytest.mark.parametrize("turn", [1.09, 1.03])
 def test_the_way_is_right_though_the_clouds_have_no_times(turn):
     clouds, truth = furnished(turn=turn, speed=7.0)
