@@ -6,7 +6,7 @@ use super::background::static_points::PointsOfVoxel;
 use super::detect::detection::Teammate;
 use super::map::blocks::Place;
 use super::map::full_state::{LocalState, SavedLocalMap};
-use super::moving::ground_movers::Stay;
+use super::moving::ground_movers::SavedMovers;
 use super::moving::static_map::{SavedStaticMapper, StaticMapperState};
 use super::scan::sensors::SavedSensors;
 use super::track::{SavedTracker, TrackerState};
@@ -28,7 +28,7 @@ pub(super) struct DetectorState<'a> {
     pub(super) held: &'a Option<HeldScan>,
     pub(super) static_points: Vec<(Place, PointsOfVoxel)>,
     pub(super) tracker: TrackerState<'a>,
-    pub(super) movers: Vec<(Place, Stay)>,
+    pub(super) movers: SavedMovers,
     pub(super) before_detect: SavedTrackBeforeDetect,
     pub(super) static_map: Option<StaticMapperState<'a>>,
 }
@@ -45,7 +45,7 @@ pub(super) struct SavedDetector {
     pub(super) held: Option<HeldScan>,
     pub(super) static_points: Vec<(Place, PointsOfVoxel)>,
     pub(super) tracker: SavedTracker,
-    pub(super) movers: Vec<(Place, Stay)>,
+    pub(super) movers: SavedMovers,
     pub(super) before_detect: SavedTrackBeforeDetect,
     pub(super) static_map: Option<SavedStaticMapper>,
 }

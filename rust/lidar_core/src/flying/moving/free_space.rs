@@ -27,6 +27,11 @@ impl<'a> FreeSpace<'a> {
         self.map.known(self.cursor.stored(voxel)) < self.map.uncertain_from()
     }
 
+    /// True if many rays have passed through a voxel since its last return.
+    pub(super) fn is_certain(&mut self, voxel: Voxel) -> bool {
+        self.map.known(self.cursor.stored(voxel)) <= self.sure
+    }
+
     /// True if a voxel is certainly free and all its neighbours are free, or `also` is true for
     /// them. Such a voxel is not beside a surface, which rays along the surface may have made free.
     /// Uncertain neighbours for which `hides` is true do not count: the thing in the voxel hides
@@ -37,8 +42,7 @@ impl<'a> FreeSpace<'a> {
         also: impl Fn(Voxel) -> bool,
         hides: impl Fn(Voxel) -> bool,
     ) -> bool {
-        let value = self.map.known(self.cursor.stored(voxel));
-        (value <= self.sure || also(voxel))
+        (self.is_certain(voxel) || also(voxel))
             && around(voxel).all(|voxel| {
                 also(voxel)
                     || self.is_free(voxel)

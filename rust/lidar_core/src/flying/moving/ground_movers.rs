@@ -2,54 +2,32 @@
 //!
 //! The search for flying objects classifies them as background or unknown. But they are at places that were free
 //! before, with something close below. These places are remembered, so that an object remains a mover while it stops
-//! for a moment.
+//! for a moment. The places must be open: free space is around them, or what came there before. Otherwise surfaces
+//! that rays along them made free would move. What stands and is thin, such as a fence, is not a mover: it had returns
+//! from the same places before.
 //!
 //! A moving object with nothing close below is in the air. A large target that was once background, as in the
 //! burn-in, would stay background for ever: each scan would add its points to the background, and the next scan would
 //! find its points near those. So the space that it enters counts as not explained by the map, and its points are
 //! unknown.
 
+use super::arrivals::{ArrivedVoxels, SavedArrivals};
 use super::free_space::{FreeSpace, parts, with_beside};
+use super::stay::{Stay, Stays, restored_stays, saved_stays};
+use super::things::{PointsByVoxel, ScanOfMovers, Things};
 use crate::Error;
-use crate::flying::classify::shadow::SightLine;
 use crate::flying::map::blocks::{Cursor, Place};
 use crate::flying::map::voxel_map::VoxelMap;
 use crate::flying::point_class::PointClass;
 use crate::geometry::lattice::{Lattice, Voxel, floor, wide};
 use crate::util::cancel;
-use crate::util::full_state::impossible;
-use crate::util::key_hasher::KeyHasher;
 use serde::{Deserialize, Serialize};
-use std::collections::HashMap;
-use std::hash::BuildHasherDefault;
 
-/// Time after which an object that does not move at its new place becomes background [s].
-const STANDS: f64 = 10.0;
-/// Time for which a mover without returns is remembered [s].
-const HIDDEN: f64 = 2.0;
 /// Smallest number of points of a mover; `FEWEST_OPEN`: of its voxels that are not beside anything else.
 const FEWEST_POINTS: usize = 8;
 const FEWEST_OPEN: usize = 2;
 /// Largest distance of a mover on the ground above something occupied [m].
 const ABOVE_GROUND: f64 = 0.75;
-
-/// Times at which something was in a voxel that had been free [ns].
-#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-pub(crate) struct Stay {
-    first_ns: i64,
-    last_ns: i64,
-    /// Whether nothing was close below it.
-    is_in_air: bool,
-}
-
-impl Stay {
-    fn is_remembered(self, now_ns: i64) -> bool {
-        let within = |since_ns: i64, time: f64| {
-            (i128::from(now_ns) - i128::from(since_ns)) as f64 * 1e-9 <= time
-        };
-        within(self.last_ns, HIDDEN) && within(self.first_ns, STANDS)
-    }
-}
 
 /// State of the space below a voxel.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -87,103 +65,13 @@ impl Below {
     }
 }
 
-/// Indices of points by their voxels, which are in ascending order.
-struct PointsByVoxel {
-    voxels: Vec<Voxel>,
-    rows: Vec<u32>,
-    /// Index in `rows` of the first point of every voxel; last entry: number of all points.
-    starts: Vec<usize>,
-}
-
-impl PointsByVoxel {
-    /// The points as a list of voxels and indices. `pairs` must be in ascending order.
-    fn of(pairs: &[(Voxel, u32)]) -> Self {
-        let (mut voxels, mut starts) = (Vec::new(), Vec::new());
-        for (at, (voxel, _)) in pairs.iter().enumerate() {
-            if voxels.last() != Some(voxel) {
-                voxels.push(*voxel);
-                starts.push(at);
-            }
-        }
-        starts.push(pairs.len());
-        Self { voxels, rows: pairs.iter().map(|&(_, point)| point).collect(), starts }
-    }
-
-    /// Indices of the points in the voxel at index `at`.
-    fn rows(&self, at: usize) -> &[u32] {
-        &self.rows[self.starts[at]..self.starts[at + 1]]
-    }
-}
-
-/// A scan, as input of the search for movers.
-#[derive(Clone, Copy)]
-pub(crate) struct ScanOfMovers<'a> {
-    pub(crate) points: &'a [[f32; 3]],
-    pub(crate) class: &'a [PointClass],
-    /// For each point, whether it may be on the robot itself. Empty if no point may be.
-    pub(crate) maybe_own: &'a [bool],
-    /// Position of the sensor [m, frame of the map].
-    pub(crate) origin: [f64; 3],
-    /// For each thing of unknown class that is no larger than a target, the indices of its points.
-    pub(crate) things: &'a [&'a [u32]],
-}
-
-/// Things of a scan, their voxels, and what they hide from the sensor.
-struct Things<'a> {
-    /// Voxels with the numbers of the things that have points in them, ascending.
-    of_voxel: Vec<(Voxel, usize)>,
-    /// For each thing, its points by voxel. A line of sight meets few voxels, however many points they contain.
-    rows: Vec<PointsByVoxel>,
-    points: &'a [[f32; 3]],
-    origin: [f64; 3],
-    lattice: &'a Lattice,
-}
-
-impl<'a> Things<'a> {
-    fn of(scan: &ScanOfMovers<'a>, lattice: &'a Lattice) -> Self {
-        let ScanOfMovers { points, origin, things, .. } = *scan;
-        let in_voxel = |&point: &u32| {
-            floor(lattice.scaled(wide(points[point as usize]))).map(|voxel| (voxel, point))
-        };
-        let by_voxel = |thing: &&[u32]| {
-            let mut pairs: Vec<(Voxel, u32)> = thing.iter().filter_map(in_voxel).collect();
-            pairs.sort_unstable();
-            PointsByVoxel::of(&pairs)
-        };
-        let rows: Vec<PointsByVoxel> = things.iter().map(by_voxel).collect();
-        let mut of_voxel: Vec<(Voxel, usize)> = Vec::new();
-        for (thing, rows) in rows.iter().enumerate() {
-            of_voxel.extend(rows.voxels.iter().map(|&voxel| (voxel, thing)));
-        }
-        of_voxel.sort_unstable();
-        Self { of_voxel, rows, points, origin, lattice }
-    }
-
-    /// True if a thing with points in `voxel` also has points in `other`, or hides `other` from the sensor.
-    fn hide(&self, voxel: Voxel, other: Voxel) -> bool {
-        let from = self.of_voxel.partition_point(|&(place, _)| place < voxel);
-        let mut in_voxel = self.of_voxel[from..].iter().take_while(|(place, _)| *place == voxel);
-        in_voxel.any(|&(_, thing)| {
-            self.of_voxel.binary_search(&(other, thing)).is_ok()
-                || SightLine::to(other, self.origin, self.lattice)
-                    .is_some_and(|line| self.blocks(thing, &line))
-        })
-    }
-
-    /// True if a point of a thing is on a line of sight, before the end of the line.
-    fn blocks(&self, thing: usize, line: &SightLine) -> bool {
-        let rows = &self.rows[thing];
-        let is_blocked = |&point: &u32| line.is_blocked_by(wide(self.points[point as usize]));
-        rows.voxels.iter().enumerate().any(|(at, &voxel)| {
-            line.passes_near(self.lattice.center(voxel)) && rows.rows(at).iter().any(is_blocked)
-        })
-    }
-}
-
 /// Search for the points of movers in one scan after another.
 #[derive(Default)]
 pub(crate) struct GroundMovers {
-    entered: HashMap<Place, Stay, BuildHasherDefault<KeyHasher>>,
+    /// Voxels that movers are in, or were in a short time ago.
+    entered: Stays,
+    /// Other voxels that something came into.
+    arrivals: ArrivedVoxels,
     /// Indices of the points of movers on the ground in the newest scan.
     rows: Vec<u32>,
     /// Indices of the points of objects that move in the air.
@@ -206,10 +94,14 @@ impl GroundMovers {
         // Longer than other functions: its loop fills four lists from the same parts.
         self.skip();
         self.entered.retain(|_, stay| stay.is_remembered(stamp_ns));
+        self.arrivals.forget(stamp_ns);
         let mut space = FreeSpace::of(map);
         let mut cursor = Cursor::new(&map.blocks);
         let steps = (ABOVE_GROUND / map.lattice().voxel_size()).ceil() as i32;
         let found = self.in_free_space(scan, map, &mut space);
+        let arrived = found.voxels.iter().copied().filter(|&voxel| !self.is_entered(voxel));
+        let arrived: Vec<Voxel> = arrived.collect();
+        self.arrivals.take(arrived.into_iter(), &mut space, stamp_ns);
         let movers = self.in_open_space(scan, map, &found.voxels, &mut space)?;
         let places: Vec<Voxel> = movers.iter().map(|&at| found.voxels[at]).collect();
         let known = &self.entered;
@@ -234,8 +126,8 @@ impl GroundMovers {
             entered.extend(part.iter().map(|&at| (Place(places[at]), is_in_air)));
         }
         for (place, is_in_air) in entered {
-            let fresh = Stay { first_ns: stamp_ns, last_ns: stamp_ns, is_in_air };
-            let stay = self.entered.entry(place).or_insert(fresh);
+            self.arrivals.remove(place);
+            let stay = self.entered.entry(place).or_insert_with(|| Stay::new(stamp_ns));
             (stay.last_ns, stay.is_in_air) = (stamp_ns, is_in_air);
         }
         self.in_air.sort_unstable();
@@ -283,6 +175,11 @@ impl GroundMovers {
         &self.over_unseen
     }
 
+    /// True if a mover is in the voxel, or was in it a short time ago.
+    fn is_entered(&self, voxel: Voxel) -> bool {
+        self.entered.contains_key(&Place(voxel))
+    }
+
     /// Indices of the voxels that are in open space, or beside such voxels.
     fn in_open_space(
         &self,
@@ -292,20 +189,35 @@ impl GroundMovers {
         space: &mut FreeSpace<'_>,
     ) -> Result<Vec<usize>, Error> {
         let things = Things::of(scan, map.lattice());
-        let is_entered = |voxel: Voxel| self.entered.contains_key(&Place(voxel));
-        let mut is_open =
-            |&voxel: &Voxel| space.is_open(voxel, is_entered, |beside| things.hide(voxel, beside));
+        // Beside a mover is also what stands. That may not count as free, or surfaces would become movers bit by bit.
+        let is_entered =
+            |voxel: Voxel| self.is_entered(voxel) && !self.arrivals.has_standing(voxel);
+        let has_come = |voxel: Voxel| is_entered(voxel) || self.arrivals.contains(voxel);
+        let mut is_open = |voxel: Voxel, also: &dyn Fn(Voxel) -> bool| {
+            let hides = |beside| things.hide(voxel, beside);
+            !self.arrivals.has_standing(voxel) && space.is_open(voxel, also, hides)
+        };
         let watch = cancel::watch();
-        let open: Vec<bool> =
-            voxels.iter().map(|voxel| !watch.is_asked() && is_open(voxel)).collect();
+        let mut open: Vec<bool> =
+            voxels.iter().map(|&voxel| !watch.is_asked() && is_open(voxel, &has_come)).collect();
         watch.check()?;
+        let rows: Vec<usize> = (0..voxels.len()).filter(|&at| open[at]).collect();
+        let places: Vec<Voxel> = rows.iter().map(|&at| voxels[at]).collect();
+        for part in parts(&places) {
+            let own = || part.iter().map(|&at| places[at]);
+            if !own().any(is_entered) && !self.arrivals.came_in_turn(own()) {
+                for &at in &part {
+                    open[rows[at]] = is_open(places[at], &is_entered);
+                }
+            }
+        }
         let chosen = with_beside(voxels, &open, FEWEST_OPEN);
         Ok((0..voxels.len()).filter(|&at| chosen[at]).collect())
     }
 
     /// Points that are not known to fly, in voxels that are free, or were free before something entered them.
     fn in_free_space(
-        &self,
+        &mut self,
         scan: &ScanOfMovers<'_>,
         map: &VoxelMap,
         space: &mut FreeSpace<'_>,
@@ -323,7 +235,14 @@ impl GroundMovers {
             let Some(voxel) = floor(lattice.scaled(wide(point))) else { continue };
             let is_chosen = match last {
                 Some((known, is_chosen)) if known == voxel => is_chosen,
-                _ => space.is_free(voxel) || self.entered.contains_key(&Place(voxel)),
+                _ => {
+                    let has_come = self.is_entered(voxel) || self.arrivals.contains(voxel);
+                    let is_chosen = has_come || space.is_free(voxel);
+                    if !is_chosen {
+                        self.arrivals.add_standing(voxel);
+                    }
+                    is_chosen
+                }
             };
             last = Some((voxel, is_chosen));
             if is_chosen {
@@ -360,31 +279,34 @@ impl GroundMovers {
     pub(crate) fn clear(&mut self) {
         self.skip();
         self.entered.clear();
+        self.arrivals.clear();
     }
 
-    /// The state to save, in ascending order of voxels. A stage restored from it gives the same results, bit by bit.
-    pub(crate) fn saved(&self) -> Vec<(Place, Stay)> {
-        let mut saved: Vec<_> = self.entered.iter().map(|(&place, &stay)| (place, stay)).collect();
-        saved.sort_unstable_by_key(|(place, _)| *place);
-        saved
+    /// The state to save. A stage restored from it gives the same results, bit by bit.
+    pub(crate) fn saved(&self) -> SavedMovers {
+        SavedMovers { entered: saved_stays(&self.entered), arrivals: self.arrivals.saved() }
     }
 
-    /// The stage with the voxels of a saved state.
+    /// The stage of a saved state.
     ///
     /// # Errors
     /// [`Error::Format`] for a state that no detector has.
-    pub(crate) fn restored(saved: Vec<(Place, Stay)>) -> Result<Self, Error> {
-        if !saved.iter().all(|(place, _)| place.has_neighbours()) {
-            return Err(impossible("movers in voxels that do not exist"));
-        }
-        Ok(Self { entered: saved.into_iter().collect(), ..Self::default() })
+    pub(crate) fn restored(saved: SavedMovers) -> Result<Self, Error> {
+        let entered = restored_stays(saved.entered)?;
+        Ok(Self { entered, arrivals: ArrivedVoxels::restored(saved.arrivals)?, ..Self::default() })
     }
+}
+
+/// [`GroundMovers`] in a saved state.
+#[derive(Serialize, Deserialize)]
+pub(crate) struct SavedMovers {
+    entered: Vec<(Place, Stay)>,
+    arrivals: SavedArrivals,
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::flying::classify::shadow::Shadow;
     use crate::flying::map::parameters::tests::parameters;
 
     /// Points of a target of 3 x 3 x 2 voxels, whose lowest voxels have the index `up` along z.
@@ -458,63 +380,6 @@ mod tests {
         assert_eq!(movers.beside_air(&points, map.lattice()), (0..18).collect::<Vec<_>>());
         movers.clear();
         assert_eq!(movers.beside_air(&points, map.lattice()), Vec::<usize>::new());
-        Ok(())
-    }
-
-    #[test]
-    fn a_thing_hides_what_is_behind_it_and_the_voxels_that_it_is_in() -> Result<(), Error> {
-        let lattice = Lattice::new(0.25, [0.0; 3])?;
-        let points = [[20, 0, 0], [20, 0, 1], [20, 40, 0]]
-            .map(|voxel| lattice.center(voxel).map(|value| value as f32));
-        let scan = ScanOfMovers {
-            points: &points,
-            class: &[PointClass::Unknown; 3],
-            maybe_own: &[],
-            origin: [0.125; 3],
-            things: &[&[0, 1], &[2]],
-        };
-        let things = Things::of(&scan, &lattice);
-        assert!(things.hide([20, 0, 0], [20, 0, 1]) && things.hide([20, 0, 1], [22, 0, 0]));
-        assert!(!things.hide([20, 0, 0], [20, 1, 0]), "beside it");
-        assert!(!things.hide([20, 0, 0], [18, 0, 0]), "in front of it");
-        assert!(!things.hide([20, 0, 0], [20, 40, 0]), "another thing is there");
-        assert!(!things.hide([20, 0, 0], [23, 46, 0]), "another thing hides it");
-        assert!(things.hide([20, 40, 0], [23, 46, 0]));
-        assert!(!things.hide([19, 0, 0], [22, 0, 0]), "nothing is in that voxel");
-        Ok(())
-    }
-
-    /// A thing hides the voxels that any one of its points hides, whatever its other points are.
-    #[test]
-    fn a_thing_hides_what_its_points_hide() -> Result<(), Error> {
-        let lattice = Lattice::new(0.25, [0.0; 3])?;
-        let origin = [0.3, -0.2, 0.1];
-        let mut number = 0_u32;
-        let mut random = |width: f32| {
-            number = number.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            width * ((number >> 8) as f32 / (1 << 24) as f32 - 0.5)
-        };
-        for middle in [[5.0, 1.0, 0.5], [-0.5, 0.3, -0.4], [20.0, -30.0, 3.0]] {
-            let points: Vec<[f32; 3]> =
-                (0..40).map(|_| middle.map(|value: f32| value + random(1.2))).collect();
-            let rows: Vec<u32> = (0..40).collect();
-            let class = &[PointClass::Unknown; 40];
-            let scan =
-                ScanOfMovers { points: &points, class, maybe_own: &[], origin, things: &[&rows] };
-            let things = Things::of(&scan, &lattice);
-            let wide_points: Vec<[f64; 3]> = points.iter().map(|&point| wide(point)).collect();
-            let shadow = Shadow::of(&wide_points, origin, &lattice);
-            let first = things.of_voxel[0].0;
-            let mut n_hidden = 0;
-            for _ in 0..3000 {
-                let far = middle.map(|value| (1.1 * value + random(3.0)) * 4.0);
-                let other = far.map(|value| value.floor() as i32);
-                let is_in = things.of_voxel.binary_search(&(other, 0)).is_ok();
-                assert_eq!(things.hide(first, other), is_in || shadow.hides(other), "{other:?}");
-                n_hidden += i32::from(shadow.hides(other));
-            }
-            assert!((10..2990).contains(&n_hidden), "{middle:?} {n_hidden}");
-        }
         Ok(())
     }
 }

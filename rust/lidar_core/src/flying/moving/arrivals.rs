@@ -1,0 +1,217 @@
+//! What comes into free space.
+//!
+//! Something that moves by less than a voxel per scan, such as a person on foot, is beside the voxels that it was in
+//! just before. These are not free any more. So a search for objects with free space around them would never find it.
+
+use super::free_space::FreeSpace;
+use super::past_hits::{PastHits, SavedPastHits};
+use super::stay::{Stay, Stays, restored_stays, saved_stays};
+use crate::Error;
+use crate::flying::map::blocks::Place;
+use crate::geometry::lattice::Voxel;
+use serde::{Deserialize, Serialize};
+
+/// Smallest share of the voxels of a moving part that were entered later than the first one. What has only become
+/// visible, such as a post that rays missed before, is in all its voxels from the first scan on.
+const LATER: f64 = 0.4;
+
+/// Voxels that were certainly free, and had no returns for a while, until something came into them.
+#[derive(Default)]
+pub(super) struct ArrivedVoxels {
+    stays: Stays,
+    /// Voxels with returns from what stands. Rays make such a voxel free too, where it holds something thin.
+    past: PastHits,
+    /// Stamp of the newest scan [ns].
+    newest_ns: Option<i64>,
+}
+
+/// [`ArrivedVoxels`] in a saved state.
+#[derive(Serialize, Deserialize)]
+pub(crate) struct SavedArrivals {
+    stays: Vec<(Place, Stay)>,
+    past: SavedPastHits,
+    newest_ns: Option<i64>,
+}
+
+impl ArrivedVoxels {
+    /// Forget what is too old at the time of a scan [ns].
+    pub(super) fn forget(&mut self, stamp_ns: i64) {
+        let Self { stays, past, .. } = self;
+        past.forget(stamp_ns);
+        stays.retain(|place, stay| {
+            let is_remembered = stay.is_remembered(stamp_ns);
+            // A single return, as from rain, does not show that anything stands there.
+            if !is_remembered && stay.is_longer_than_a_scan() {
+                past.insert(place.0);
+            }
+            is_remembered
+        });
+    }
+
+    /// True if something came into the voxel a short time ago.
+    pub(super) fn contains(&self, voxel: Voxel) -> bool {
+        self.stays.contains_key(&Place(voxel))
+    }
+
+    /// True if something that stands had returns from the voxel.
+    pub(super) fn has_standing(&self, voxel: Voxel) -> bool {
+        self.past.contains(voxel)
+    }
+
+    /// Store that something that stands had a return from the voxel.
+    pub(super) fn add_standing(&mut self, voxel: Voxel) {
+        self.past.insert(voxel);
+    }
+
+    /// Forget a voxel because what is in it is known to move.
+    pub(super) fn remove(&mut self, place: Place) {
+        self.stays.remove(&place);
+    }
+
+    /// Take the voxels with returns of a scan that are free, or were free a short time ago. No mover is in them. `space`:
+    /// before the scan.
+    pub(super) fn take(
+        &mut self,
+        voxels: impl Iterator<Item = Voxel>,
+        space: &mut FreeSpace<'_>,
+        stamp_ns: i64,
+    ) {
+        let before_ns = self.newest_ns.replace(stamp_ns);
+        for voxel in voxels {
+            let (place, is_certain) = (Place(voxel), space.is_certain(voxel));
+            if let Some(stay) = self.stays.get_mut(&place) {
+                // Returns, then free, then returns again: a thin thing that stands, such as a fence.
+                if is_certain && before_ns.is_some_and(|before_ns| stay.last_ns < before_ns) {
+                    self.stays.remove(&place);
+                    self.past.insert(voxel);
+                } else {
+                    stay.last_ns = stamp_ns;
+                }
+            } else if is_certain && !self.past.contains(voxel) {
+                self.stays.insert(place, Stay::new(stamp_ns));
+            } else {
+                self.past.insert(voxel);
+            }
+        }
+    }
+
+    /// True if something came into the voxels of a part one after the other.
+    pub(super) fn came_in_turn(&self, part: impl Iterator<Item = Voxel>) -> bool {
+        let first = |voxel| self.stays.get(&Place(voxel)).map(|stay| stay.first_ns);
+        let firsts: Vec<i64> = part.filter_map(first).collect();
+        let earliest = firsts.iter().min();
+        let later = firsts.iter().filter(|&first| Some(first) > earliest).count();
+        later > 0 && later as f64 >= LATER * firsts.len() as f64
+    }
+
+    pub(super) fn clear(&mut self) {
+        *self = Self::default();
+    }
+
+    pub(super) fn saved(&self) -> SavedArrivals {
+        let (stays, past) = (saved_stays(&self.stays), self.past.saved());
+        SavedArrivals { stays, past, newest_ns: self.newest_ns }
+    }
+
+    /// The arrivals of a saved state.
+    ///
+    /// # Errors
+    /// [`Error::Format`] for a state that no detector has.
+    pub(super) fn restored(saved: SavedArrivals) -> Result<Self, Error> {
+        let (stays, past) = (restored_stays(saved.stays)?, PastHits::restored(saved.past)?);
+        Ok(Self { stays, past, newest_ns: saved.newest_ns })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::flying::map::parameters::tests::parameters;
+    use crate::flying::map::voxel_map::VoxelMap;
+
+    const SCAN: i64 = 100_000_000;
+    const ROW: [Voxel; 4] = [[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]];
+
+    /// Map whose voxels `ROW` are certainly free, except the last one.
+    fn map() -> Result<VoxelMap, Error> {
+        let mut map = VoxelMap::new(parameters())?;
+        let lattice = *map.lattice();
+        let center = |voxel: &Voxel| lattice.center(*voxel).map(|value: f64| value as f32);
+        map.pull(&ROW[..3].iter().map(center).collect::<Vec<_>>(), -1000.0, 20.0)?;
+        map.pull(&[center(&ROW[3])], -1000.0, 6.0)?; // a few rays
+        Ok(map)
+    }
+
+    fn scan(arrivals: &mut ArrivedVoxels, map: &VoxelMap, number: i64, voxels: &[Voxel]) {
+        arrivals.forget(number * SCAN);
+        let mut space = FreeSpace::of(map);
+        arrivals.take(voxels.iter().copied(), &mut space, number * SCAN);
+    }
+
+    #[test]
+    fn only_voxels_that_were_certainly_free_are_entered() -> Result<(), Error> {
+        let (map, mut arrivals) = (map()?, ArrivedVoxels::default());
+        arrivals.add_standing(ROW[1]);
+        scan(&mut arrivals, &map, 0, &ROW);
+        assert_eq!(ROW.map(|voxel| arrivals.contains(voxel)), [true, false, true, false]);
+        assert_eq!(ROW.map(|voxel| arrivals.has_standing(voxel)), [false, true, false, true]);
+        arrivals.remove(Place(ROW[0]));
+        assert!(!arrivals.contains(ROW[0]) && !arrivals.has_standing(ROW[0]));
+        Ok(())
+    }
+
+    #[test]
+    fn returns_that_come_back_are_of_what_stands() -> Result<(), Error> {
+        let (map, mut arrivals) = (map()?, ArrivedVoxels::default());
+        scan(&mut arrivals, &map, 0, &ROW[..1]);
+        scan(&mut arrivals, &map, 1, &ROW[..1]);
+        assert!(arrivals.contains(ROW[0]), "without a break");
+        scan(&mut arrivals, &map, 2, &[]);
+        scan(&mut arrivals, &map, 3, &ROW[..1]);
+        assert!(!arrivals.contains(ROW[0]) && arrivals.has_standing(ROW[0]));
+        Ok(())
+    }
+
+    #[test]
+    fn what_stayed_for_longer_than_a_scan_is_remembered_as_standing() -> Result<(), Error> {
+        let (map, mut arrivals) = (map()?, ArrivedVoxels::default());
+        scan(&mut arrivals, &map, 0, &ROW[..2]);
+        scan(&mut arrivals, &map, 1, &ROW[..1]); // the other one was a drop of rain
+        scan(&mut arrivals, &map, 40, &[]);
+        assert_eq!(ROW.map(|voxel| arrivals.contains(voxel)), [false; 4]);
+        assert_eq!(ROW.map(|voxel| arrivals.has_standing(voxel)), [true, false, false, false]);
+        Ok(())
+    }
+
+    #[test]
+    fn a_moving_part_enters_one_voxel_after_the_other() -> Result<(), Error> {
+        let (map, mut arrivals) = (map()?, ArrivedVoxels::default());
+        let in_turn = |arrivals: &ArrivedVoxels| arrivals.came_in_turn(ROW.into_iter());
+        assert!(!in_turn(&arrivals), "nothing came");
+        scan(&mut arrivals, &map, 0, &ROW[..2]);
+        assert!(!in_turn(&arrivals), "all at once, as what was hidden before");
+        scan(&mut arrivals, &map, 1, &ROW[..2]);
+        assert!(!in_turn(&arrivals));
+        scan(&mut arrivals, &map, 2, &ROW[1..3]);
+        assert!(!in_turn(&arrivals), "one of three");
+        arrivals.remove(Place(ROW[0]));
+        assert!(in_turn(&arrivals), "one of two");
+        Ok(())
+    }
+
+    #[test]
+    fn a_saved_state_goes_on_the_same() -> Result<(), Error> {
+        let (map, mut arrivals) = (map()?, ArrivedVoxels::default());
+        scan(&mut arrivals, &map, 0, &ROW[..1]);
+        scan(&mut arrivals, &map, 1, &[]);
+        let mut again = ArrivedVoxels::restored(arrivals.saved())?;
+        for one in [&mut arrivals, &mut again] {
+            scan(one, &map, 2, &ROW[..1]);
+            assert!(one.has_standing(ROW[0]));
+        }
+        let mut saved = arrivals.saved();
+        saved.stays.push((Place([i32::MAX; 3]), Stay::new(0)));
+        assert!(ArrivedVoxels::restored(saved).is_err());
+        Ok(())
+    }
+}
