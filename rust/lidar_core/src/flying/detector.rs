@@ -297,6 +297,9 @@ impl FlyingObjectDetector {
     /// Store the observations of an accepted scan. Returns the indices of the clusters in free space that have become
     /// background because they stand still.
     fn accept(&mut self, raw: &RawScan<'_>, burn_in: BurnIn, gate: ReportingGate) -> Vec<usize> {
+        if self.parameters.tells_movers() {
+            self.movers.accept();
+        }
         let Self { parameters, local, sensors, scan, classifier, static_points, tracker, .. } =
             self;
         if let Some(sensor) = sensors.get_mut(raw.sensor) {

@@ -9,20 +9,33 @@ use super::stay::{Stay, Stays, restored_stays, saved_stays};
 use crate::Error;
 use crate::flying::map::blocks::Place;
 use crate::geometry::lattice::Voxel;
+use crate::util::key_hasher::KeyHasher;
 use serde::{Deserialize, Serialize};
+use std::collections::HashSet;
+use std::hash::BuildHasherDefault;
 
 /// Smallest share of the voxels of a moving part that were entered later than the first one. What has only become
 /// visible, such as a post that rays missed before, is in all its voxels from the first scan on.
 const LATER: f64 = 0.4;
 
 /// Voxels that were certainly free, and had no returns for a while, until something came into them.
+///
+/// A scan changes nothing before it is accepted: it may be refused or stopped after this search.
 #[derive(Default)]
 pub(super) struct ArrivedVoxels {
     stays: Stays,
     /// Voxels with returns from what stands. Rays make such a voxel free too, where it holds something thin.
     past: PastHits,
-    /// Stamp of the newest scan [ns].
+    /// Stamp of the newest accepted scan [ns].
     newest_ns: Option<i64>,
+    /// What follows the stays after the scan.
+    next: Stays,
+    /// Voxels with returns from what stands in the scan, as they come. One may be there twice.
+    standing: Vec<Voxel>,
+    /// Those of them that are free, or were free a short time ago.
+    doubtful: HashSet<Place, BuildHasherDefault<KeyHasher>>,
+    /// Stamp of the scan [ns].
+    now_ns: i64,
 }
 
 /// [`ArrivedVoxels`] in a saved state.
@@ -34,70 +47,81 @@ pub(crate) struct SavedArrivals {
 }
 
 impl ArrivedVoxels {
-    /// Forget what is too old at the time of a scan [ns].
-    pub(super) fn forget(&mut self, stamp_ns: i64) {
-        let Self { stays, past, .. } = self;
-        past.forget(stamp_ns);
-        stays.retain(|place, stay| {
-            let is_remembered = stay.is_remembered(stamp_ns);
-            // A single return, as from rain, does not show that anything stands there.
-            if !is_remembered && stay.is_longer_than_a_scan() {
-                past.insert(place.0);
+    /// Begin a scan at a time [ns].
+    pub(super) fn begin(&mut self, stamp_ns: i64) {
+        self.skip();
+        self.now_ns = stamp_ns;
+        for (&place, &stay) in &self.stays {
+            if stay.is_remembered(stamp_ns) {
+                self.next.insert(place, stay);
+            } else if stay.is_longer_than_a_scan() {
+                // A single return, as from rain, does not show that anything stands there.
+                self.doubtful.insert(place);
             }
-            is_remembered
-        });
+        }
+    }
+
+    /// Store what the scan has shown. Without it, the scan has no effect.
+    pub(super) fn accept(&mut self) {
+        std::mem::swap(&mut self.stays, &mut self.next);
+        self.past.forget(self.now_ns);
+        for voxel in self.standing.drain(..).chain(self.doubtful.drain().map(|place| place.0)) {
+            self.past.insert(voxel);
+        }
+        self.newest_ns = Some(self.now_ns);
+    }
+
+    /// Leave the scan without effect.
+    pub(super) fn skip(&mut self) {
+        self.next.clear();
+        self.standing.clear();
+        self.doubtful.clear();
     }
 
     /// True if something came into the voxel a short time ago.
     pub(super) fn contains(&self, voxel: Voxel) -> bool {
-        self.stays.contains_key(&Place(voxel))
+        self.next.contains_key(&Place(voxel))
     }
 
-    /// True if something that stands had returns from the voxel.
+    /// True if something that stands had returns from the voxel, which is or was free.
     pub(super) fn has_standing(&self, voxel: Voxel) -> bool {
-        self.past.contains(voxel)
+        self.doubtful.contains(&Place(voxel)) || self.past.contains(voxel, self.now_ns)
     }
 
-    /// Store that something that stands had a return from the voxel.
+    /// Store that something that stands had a return from the voxel, which is not free.
     pub(super) fn add_standing(&mut self, voxel: Voxel) {
-        self.past.insert(voxel);
+        self.standing.push(voxel);
     }
 
     /// Forget a voxel because what is in it is known to move.
     pub(super) fn remove(&mut self, place: Place) {
-        self.stays.remove(&place);
+        self.next.remove(&place);
     }
 
-    /// Take the voxels with returns of a scan that are free, or were free a short time ago. No mover is in them. `space`:
-    /// before the scan.
-    pub(super) fn take(
-        &mut self,
-        voxels: impl Iterator<Item = Voxel>,
-        space: &mut FreeSpace<'_>,
-        stamp_ns: i64,
-    ) {
-        let before_ns = self.newest_ns.replace(stamp_ns);
-        for voxel in voxels {
+    /// Take the voxels with returns of the scan that are free, or were free a short time ago. No mover is in them.
+    /// `space`: before the scan.
+    pub(super) fn take(&mut self, voxels: &[Voxel], space: &mut FreeSpace<'_>) {
+        for &voxel in voxels {
             let (place, is_certain) = (Place(voxel), space.is_certain(voxel));
-            if let Some(stay) = self.stays.get_mut(&place) {
+            if let Some(stay) = self.next.get_mut(&place) {
                 // Returns, then free, then returns again: a thin thing that stands, such as a fence.
-                if is_certain && before_ns.is_some_and(|before_ns| stay.last_ns < before_ns) {
-                    self.stays.remove(&place);
-                    self.past.insert(voxel);
+                if is_certain && self.newest_ns.is_some_and(|newest_ns| stay.last_ns < newest_ns) {
+                    self.next.remove(&place);
+                    self.doubtful.insert(place);
                 } else {
-                    stay.last_ns = stamp_ns;
+                    stay.last_ns = self.now_ns;
                 }
-            } else if is_certain && !self.past.contains(voxel) {
-                self.stays.insert(place, Stay::new(stamp_ns));
+            } else if is_certain && !self.has_standing(voxel) {
+                self.next.insert(place, Stay::new(self.now_ns));
             } else {
-                self.past.insert(voxel);
+                self.doubtful.insert(place);
             }
         }
     }
 
     /// True if something came into the voxels of a part one after the other.
     pub(super) fn came_in_turn(&self, part: impl Iterator<Item = Voxel>) -> bool {
-        let first = |voxel| self.stays.get(&Place(voxel)).map(|stay| stay.first_ns);
+        let first = |voxel| self.next.get(&Place(voxel)).map(|stay| stay.first_ns);
         let firsts: Vec<i64> = part.filter_map(first).collect();
         let earliest = firsts.iter().min();
         let later = firsts.iter().filter(|&first| Some(first) > earliest).count();
@@ -119,7 +143,7 @@ impl ArrivedVoxels {
     /// [`Error::Format`] for a state that no detector has.
     pub(super) fn restored(saved: SavedArrivals) -> Result<Self, Error> {
         let (stays, past) = (restored_stays(saved.stays)?, PastHits::restored(saved.past)?);
-        Ok(Self { stays, past, newest_ns: saved.newest_ns })
+        Ok(Self { stays, past, newest_ns: saved.newest_ns, ..Self::default() })
     }
 }
 
@@ -143,15 +167,23 @@ mod tests {
     }
 
     fn scan(arrivals: &mut ArrivedVoxels, map: &VoxelMap, number: i64, voxels: &[Voxel]) {
-        arrivals.forget(number * SCAN);
-        let mut space = FreeSpace::of(map);
-        arrivals.take(voxels.iter().copied(), &mut space, number * SCAN);
+        look(arrivals, map, number, voxels);
+        arrivals.accept();
+        arrivals.begin(number * SCAN); // shows the new state
+    }
+
+    /// A scan that is not accepted.
+    fn look(arrivals: &mut ArrivedVoxels, map: &VoxelMap, number: i64, voxels: &[Voxel]) {
+        arrivals.begin(number * SCAN);
+        arrivals.take(voxels, &mut FreeSpace::of(map));
     }
 
     #[test]
     fn only_voxels_that_were_certainly_free_are_entered() -> Result<(), Error> {
         let (map, mut arrivals) = (map()?, ArrivedVoxels::default());
+        arrivals.begin(0);
         arrivals.add_standing(ROW[1]);
+        arrivals.accept();
         scan(&mut arrivals, &map, 0, &ROW);
         assert_eq!(ROW.map(|voxel| arrivals.contains(voxel)), [true, false, true, false]);
         assert_eq!(ROW.map(|voxel| arrivals.has_standing(voxel)), [false, true, false, true]);
@@ -196,6 +228,17 @@ mod tests {
         assert!(!in_turn(&arrivals), "one of three");
         arrivals.remove(Place(ROW[0]));
         assert!(in_turn(&arrivals), "one of two");
+        Ok(())
+    }
+
+    #[test]
+    fn a_scan_that_is_not_accepted_has_no_effect() -> Result<(), Error> {
+        let (map, mut arrivals) = (map()?, ArrivedVoxels::default());
+        look(&mut arrivals, &map, 0, &ROW);
+        arrivals.add_standing([9, 0, 0]);
+        arrivals.begin(SCAN);
+        assert_eq!(ROW.map(|voxel| arrivals.contains(voxel)), [false; 4]);
+        assert!(!arrivals.has_standing(ROW[3]) && !arrivals.has_standing([9, 0, 0]));
         Ok(())
     }
 

@@ -72,6 +72,8 @@ pub(crate) struct GroundMovers {
     entered: Stays,
     /// Other voxels that something came into.
     arrivals: ArrivedVoxels,
+    /// What follows `entered` after the scan. It changes nothing before the scan is accepted.
+    next: Stays,
     /// Indices of the points of movers on the ground in the newest scan.
     rows: Vec<u32>,
     /// Indices of the points of objects that move in the air.
@@ -93,18 +95,19 @@ impl GroundMovers {
     ) -> Result<(), Error> {
         // Longer than other functions: its loop fills four lists from the same parts.
         self.skip();
-        self.entered.retain(|_, stay| stay.is_remembered(stamp_ns));
-        self.arrivals.forget(stamp_ns);
+        let remembered = self.entered.iter().filter(|(_, stay)| stay.is_remembered(stamp_ns));
+        self.next.extend(remembered.map(|(&place, &stay)| (place, stay)));
+        self.arrivals.begin(stamp_ns);
         let mut space = FreeSpace::of(map);
         let mut cursor = Cursor::new(&map.blocks);
         let steps = (ABOVE_GROUND / map.lattice().voxel_size()).ceil() as i32;
         let found = self.in_free_space(scan, map, &mut space);
         let arrived = found.voxels.iter().copied().filter(|&voxel| !self.is_entered(voxel));
         let arrived: Vec<Voxel> = arrived.collect();
-        self.arrivals.take(arrived.into_iter(), &mut space, stamp_ns);
+        self.arrivals.take(&arrived, &mut space);
         let movers = self.in_open_space(scan, map, &found.voxels, &mut space)?;
         let places: Vec<Voxel> = movers.iter().map(|&at| found.voxels[at]).collect();
-        let known = &self.entered;
+        let known = &self.next;
         let is_entered = |voxel: Voxel| known.contains_key(&Place(voxel));
         let mut entered = Vec::new();
         for part in parts(&places) {
@@ -127,12 +130,18 @@ impl GroundMovers {
         }
         for (place, is_in_air) in entered {
             self.arrivals.remove(place);
-            let stay = self.entered.entry(place).or_insert_with(|| Stay::new(stamp_ns));
+            let stay = self.next.entry(place).or_insert_with(|| Stay::new(stamp_ns));
             (stay.last_ns, stay.is_in_air) = (stamp_ns, is_in_air);
         }
         self.in_air.sort_unstable();
         self.over_unseen.sort_unstable();
         Ok(())
+    }
+
+    /// Store what the newest scan has shown. Without it, the scan has no effect on later ones.
+    pub(crate) fn accept(&mut self) {
+        std::mem::swap(&mut self.entered, &mut self.next);
+        self.arrivals.accept();
     }
 
     /// Indices of the points beside objects that moved in the air in the newest scan with such objects.
@@ -177,7 +186,7 @@ impl GroundMovers {
 
     /// True if a mover is in the voxel, or was in it a short time ago.
     fn is_entered(&self, voxel: Voxel) -> bool {
-        self.entered.contains_key(&Place(voxel))
+        self.next.contains_key(&Place(voxel))
     }
 
     /// Indices of the voxels that are in open space, or beside such voxels.
@@ -273,6 +282,8 @@ impl GroundMovers {
         self.rows.clear();
         self.in_air.clear();
         self.over_unseen.clear();
+        self.next.clear();
+        self.arrivals.skip();
     }
 
     /// Forget everything.
@@ -340,6 +351,7 @@ mod tests {
         let scan =
             ScanOfMovers { points: &points, class, maybe_own: &[], origin: [0.0; 3], things: &[] };
         assert!(movers.find(&scan, map, 0).is_ok());
+        movers.accept();
         [movers.in_air().len(), movers.rows().len()]
     }
 

@@ -77,23 +77,36 @@ pub(crate) struct SavedPastHits {
 }
 
 impl PastHits {
+    /// Whether the newer and the older set count at a time [ns].
+    fn counts(&self, now_ns: i64) -> [bool; 2] {
+        let since_ns = self.since_ns.unwrap_or(now_ns);
+        let age = (i128::from(now_ns) - i128::from(since_ns)) as f64 * 1e-9;
+        if age <= REMEMBERED && self.newer.bits.len() <= MOST_BLOCKS {
+            [true; 2]
+        } else {
+            [age <= 2.0 * REMEMBERED, false]
+        }
+    }
+
     /// Forget what is too old at a time [ns].
     pub(super) fn forget(&mut self, now_ns: i64) {
-        let since_ns = *self.since_ns.get_or_insert(now_ns);
-        let age = (i128::from(now_ns) - i128::from(since_ns)) as f64 * 1e-9;
-        if age > REMEMBERED || self.newer.bits.len() > MOST_BLOCKS {
+        let [is_newer_kept, is_older_kept] = self.counts(now_ns);
+        if !is_older_kept {
             let newer = std::mem::take(&mut self.newer);
-            self.older = if age <= 2.0 * REMEMBERED { newer } else { VoxelSet::default() };
+            self.older = if is_newer_kept { newer } else { VoxelSet::default() };
             self.since_ns = Some(now_ns);
         }
+        self.since_ns.get_or_insert(now_ns);
     }
 
     pub(super) fn insert(&mut self, voxel: Voxel) {
         self.newer.insert(voxel);
     }
 
-    pub(super) fn contains(&self, voxel: Voxel) -> bool {
-        self.newer.contains(voxel) || self.older.contains(voxel)
+    /// True if the voxel had returns that are not too old at a time [ns].
+    pub(super) fn contains(&self, voxel: Voxel, now_ns: i64) -> bool {
+        let [is_newer_kept, is_older_kept] = self.counts(now_ns);
+        is_newer_kept && self.newer.contains(voxel) || is_older_kept && self.older.contains(voxel)
     }
 
     pub(super) fn saved(&self) -> SavedPastHits {
@@ -131,14 +144,19 @@ mod tests {
             hits.insert(*voxel);
         }
         for seconds in [1, 10, 11, 20, 21] {
-            hits.forget(seconds * SECOND);
-            assert_eq!(voxels.map(|voxel| hits.contains(voxel)), [true, true, true, false]);
+            let now = seconds * SECOND;
+            assert_eq!(voxels.map(|voxel| hits.contains(voxel, now)), [true, true, true, false]);
+            hits.forget(now);
+            assert_eq!(voxels.map(|voxel| hits.contains(voxel, now)), [true, true, true, false]);
         }
         hits.insert([5, 0, 0]);
-        hits.forget(22 * SECOND); // 11 s after the newer set was begun
-        assert_eq!(voxels.map(|voxel| hits.contains(voxel)), [false, false, false, true]);
+        let now = 22 * SECOND; // 11 s after the newer set was begun
+        assert_eq!(voxels.map(|voxel| hits.contains(voxel, now)), [false, false, false, true]);
+        hits.forget(now);
+        assert_eq!(voxels.map(|voxel| hits.contains(voxel, now)), [false, false, false, true]);
+        assert!(!hits.contains([5, 0, 0], 60 * SECOND));
         hits.forget(60 * SECOND);
-        assert!(!hits.contains([5, 0, 0]));
+        assert!(!hits.contains([5, 0, 0], 60 * SECOND));
     }
 
     #[test]
@@ -151,7 +169,7 @@ mod tests {
             }
         }
         assert_eq!([hits.newer.bits.len(), hits.older.bits.len()], [MOST_BLOCKS + 1; 2]);
-        assert!(hits.contains([0, 16, 0]) && !hits.contains([0, 8, 0]));
+        assert!(hits.contains([0, 24, 0], 3) && !hits.contains([0, 8, 0], 3));
     }
 
     #[test]
@@ -164,9 +182,9 @@ mod tests {
         hits.insert([1, 2, 3]);
         let again = PastHits::restored(hits.saved())?;
         for voxel in [[40, 0, 0], [-40, 3, 0], [1, 2, 3]] {
-            assert!(again.contains(voxel));
+            assert!(again.contains(voxel, 15 * SECOND));
         }
-        assert!(!again.contains([0, 0, 0]));
+        assert!(!again.contains([0, 0, 0], 15 * SECOND));
         assert_eq!(again.since_ns, Some(15 * SECOND));
         let mut saved = hits.saved();
         saved.older.reverse();
