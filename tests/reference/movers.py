@@ -1,8 +1,8 @@
 """Points of what moves on the ground, in plain Python: sets of voxels, one voxel at a time.
 
 Written from the text of `rust/lidar_core/src/flying/moving/`: `arrivals.rs`, `past_hits.rs`,
-`stay.rs`, `free_space.rs`, `ground_movers.rs`. Not here: what things of unknown class hide, and
-objects in the air.
+`stay.rs`, `free_space.rs`, `ground_movers.rs`. Not here: what things of unknown class hide, flat
+ground, and objects in the air.
 """
 
 import itertools
@@ -72,7 +72,7 @@ class Movers:
                     self.arrived[voxel] = first, time
             elif is_certain(voxel) and not is_standing(voxel):
                 self.arrived[voxel] = time, time
-            else:
+            elif is_certain(voxel):
                 self.newer.add(voxel)
         self.newest = time
 

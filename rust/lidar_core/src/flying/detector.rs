@@ -229,9 +229,9 @@ impl FlyingObjectDetector {
                     let things = classifier.unknown_things(&input);
                     let origin = scan.pose.translation;
                     let (points, class) = (scan.points.as_slice(), classifier.class());
-                    let maybe_own = &scan.maybe_own[..];
+                    let (maybe_own, floor) = (&scan.maybe_own[..], scan.floor);
                     let to_search =
-                        ScanOfMovers { points, class, maybe_own, origin, things: &things };
+                        ScanOfMovers { points, class, maybe_own, origin, floor, things: &things };
                     movers.find(&to_search, &local.map, stamp_ns)?;
                     classifier.lift(&input, movers.in_air(), movers.over_unseen());
                 }

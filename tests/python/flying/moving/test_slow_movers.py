@@ -104,7 +104,7 @@ def test_hardly_any_point_moves_where_all_stands():
     for scene, most in (
         (sim.scenes.windy_trees(0, scans=100, sensor="vlp-16"), 0.002),
         (sim.scenes.moving_car(0, scans=100), 0.004),
-        (sim.scenes.dark_street(0, scans=60), 0.05),
+        (sim.scenes.dark_street(0, scans=60), 0.005),
     ):
         detector, moving, returns = FlyingObjectDetector(), 0, 0
         for one in sim.simulate(scene, seed=0):

@@ -98,24 +98,27 @@ impl ArrivedVoxels {
         self.next.remove(&place);
     }
 
-    /// Take the voxels with returns of the scan that are free, or were free a short time ago. No mover is in them.
-    /// `space`: before the scan.
-    pub(super) fn take(&mut self, voxels: &[Voxel], space: &mut FreeSpace<'_>) {
-        for &voxel in voxels {
-            let (place, is_certain) = (Place(voxel), space.is_certain(voxel));
-            if let Some(stay) = self.next.get_mut(&place) {
-                // Returns, then free, then returns again: a thin thing that stands, such as a fence.
-                if is_certain && self.newest_ns.is_some_and(|newest_ns| stay.last_ns < newest_ns) {
-                    self.next.remove(&place);
-                    self.doubtful.insert(place);
-                } else {
-                    stay.last_ns = self.now_ns;
-                }
-            } else if is_certain && !self.has_standing(voxel) {
-                self.next.insert(place, Stay::new(self.now_ns));
-            } else {
+    /// Store that something that stands had a return from the voxel, which is free or was free a short time ago.
+    pub(super) fn add_doubtful(&mut self, voxel: Voxel) {
+        self.doubtful.insert(Place(voxel));
+    }
+
+    /// Take a voxel with returns of the scan that is free, or was free a short time ago. No mover is in it. `space`:
+    /// before the scan.
+    pub(super) fn take(&mut self, voxel: Voxel, space: &mut FreeSpace<'_>) {
+        let (place, is_certain) = (Place(voxel), space.is_certain(voxel));
+        if let Some(stay) = self.next.get_mut(&place) {
+            // Returns, then free, then returns again: a thin thing that stands, such as a fence.
+            if is_certain && self.newest_ns.is_some_and(|newest_ns| stay.last_ns < newest_ns) {
+                self.next.remove(&place);
                 self.doubtful.insert(place);
+            } else {
+                stay.last_ns = self.now_ns;
             }
+        } else if is_certain && !self.has_standing(voxel) {
+            self.next.insert(place, Stay::new(self.now_ns));
+        } else if is_certain {
+            self.doubtful.insert(place);
         }
     }
 
@@ -175,7 +178,10 @@ mod tests {
     /// A scan that is not accepted.
     fn look(arrivals: &mut ArrivedVoxels, map: &VoxelMap, number: i64, voxels: &[Voxel]) {
         arrivals.begin(number * SCAN);
-        arrivals.take(voxels, &mut FreeSpace::of(map));
+        let mut space = FreeSpace::of(map);
+        for &voxel in voxels {
+            arrivals.take(voxel, &mut space);
+        }
     }
 
     #[test]
@@ -186,7 +192,7 @@ mod tests {
         arrivals.accept();
         scan(&mut arrivals, &map, 0, &ROW);
         assert_eq!(ROW.map(|voxel| arrivals.contains(voxel)), [true, false, true, false]);
-        assert_eq!(ROW.map(|voxel| arrivals.has_standing(voxel)), [false, true, false, true]);
+        assert_eq!(ROW.map(|voxel| arrivals.has_standing(voxel)), [false, true, false, false]);
         arrivals.remove(Place(ROW[0]));
         assert!(!arrivals.contains(ROW[0]) && !arrivals.has_standing(ROW[0]));
         Ok(())
@@ -235,7 +241,9 @@ mod tests {
     fn a_scan_that_is_not_accepted_has_no_effect() -> Result<(), Error> {
         let (map, mut arrivals) = (map()?, ArrivedVoxels::default());
         look(&mut arrivals, &map, 0, &ROW);
+        arrivals.add_doubtful(ROW[3]);
         arrivals.add_standing([9, 0, 0]);
+        assert!(arrivals.has_standing(ROW[3]));
         arrivals.begin(SCAN);
         assert_eq!(ROW.map(|voxel| arrivals.contains(voxel)), [false; 4]);
         assert!(!arrivals.has_standing(ROW[3]) && !arrivals.has_standing([9, 0, 0]));

@@ -4,7 +4,8 @@
 //! before, with something close below. These places are remembered, so that an object remains a mover while it stops
 //! for a moment. The places must be open: free space is around them, or what came there before. Otherwise surfaces
 //! that rays along them made free would move. What stands and is thin, such as a fence, is not a mover: it had returns
-//! from the same places before.
+//! from the same places before. Flat ground is not a mover either: on a dark or wet road, returns come only once the
+//! sensor is close, and rays along the road have made its place free before.
 //!
 //! A moving object with nothing close below is in the air. A large target that was once background, as in the
 //! burn-in, would stay background for ever: each scan would add its points to the background, and the next scan would
@@ -28,6 +29,8 @@ const FEWEST_POINTS: usize = 8;
 const FEWEST_OPEN: usize = 2;
 /// Largest distance of a mover on the ground above something occupied [m].
 const ABOVE_GROUND: f64 = 0.75;
+/// Points that are closer to the height of flat ground are on it [m]. No mover consists of them alone.
+const FLOOR: f64 = 0.2;
 
 /// State of the space below a voxel.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -102,9 +105,7 @@ impl GroundMovers {
         let mut cursor = Cursor::new(&map.blocks);
         let steps = (ABOVE_GROUND / map.lattice().voxel_size()).ceil() as i32;
         let found = self.in_free_space(scan, map, &mut space);
-        let arrived = found.voxels.iter().copied().filter(|&voxel| !self.is_entered(voxel));
-        let arrived: Vec<Voxel> = arrived.collect();
-        self.arrivals.take(&arrived, &mut space);
+        self.sort_voxels(scan, &found, &mut space);
         let movers = self.in_open_space(scan, map, &found.voxels, &mut space)?;
         let places: Vec<Voxel> = movers.iter().map(|&at| found.voxels[at]).collect();
         let known = &self.next;
@@ -182,6 +183,25 @@ impl GroundMovers {
     /// (such as behind a table): they may fly or stand on something. Ascending.
     pub(crate) fn over_unseen(&self) -> &[u32] {
         &self.over_unseen
+    }
+
+    /// Tell voxels that something came into from those where something stands, or that only the ground is in.
+    fn sort_voxels(
+        &mut self,
+        scan: &ScanOfMovers<'_>,
+        found: &PointsByVoxel,
+        space: &mut FreeSpace<'_>,
+    ) {
+        let height = |row: u32| f64::from(scan.points[row as usize][2]);
+        let is_floor =
+            |&row: &u32| scan.floor.is_some_and(|floor| (height(row) - floor).abs() < FLOOR);
+        for (at, &voxel) in found.voxels.iter().enumerate() {
+            if found.rows(at).iter().all(is_floor) {
+                self.arrivals.add_doubtful(voxel);
+            } else if !self.is_entered(voxel) {
+                self.arrivals.take(voxel, space);
+            }
+        }
     }
 
     /// True if a mover is in the voxel, or was in it a short time ago.
@@ -346,10 +366,25 @@ mod tests {
 
     /// Numbers of points in the air, and of points of ground movers.
     fn found(movers: &mut GroundMovers, map: &VoxelMap, up: i32) -> [usize; 2] {
+        found_above(None, movers, map, up)
+    }
+
+    fn found_above(
+        floor: Option<f64>,
+        movers: &mut GroundMovers,
+        map: &VoxelMap,
+        up: i32,
+    ) -> [usize; 2] {
         let points = target(map.lattice(), up);
         let class = &[PointClass::Background; 18];
-        let scan =
-            ScanOfMovers { points: &points, class, maybe_own: &[], origin: [0.0; 3], things: &[] };
+        let scan = ScanOfMovers {
+            points: &points,
+            class,
+            maybe_own: &[],
+            origin: [0.0; 3],
+            floor,
+            things: &[],
+        };
         assert!(movers.find(&scan, map, 0).is_ok());
         movers.accept();
         [movers.in_air().len(), movers.rows().len()]
@@ -366,6 +401,20 @@ mod tests {
         let left = map(&[[1, 1, 0]])?;
         assert_eq!(found(&mut movers, &left, 2), [18, 0]);
         assert_eq!(found(&mut GroundMovers::default(), &left, 2), [0, 18]);
+        Ok(())
+    }
+
+    #[test]
+    fn flat_ground_is_no_mover() -> Result<(), Error> {
+        let map = map(&[[1, 1, -2]])?; // the target is above something
+        let size = map.lattice().voxel_size();
+        let movers =
+            |floor: f64| found_above(Some(floor * size), &mut GroundMovers::default(), &map, 0);
+        assert_eq!(found(&mut GroundMovers::default(), &map, 0), [0, 18]);
+        assert_eq!(movers(1.0), [0, 0], "points are half a voxel below and above");
+        assert_eq!(movers(0.0), [0, 18], "on the ground");
+        assert_eq!(movers(-1.0), [0, 18]);
+        assert_eq!(movers(9.0), [0, 18], "below the ground, as in a pit");
         Ok(())
     }
 

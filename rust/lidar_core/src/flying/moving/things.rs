@@ -41,6 +41,8 @@ pub(crate) struct ScanOfMovers<'a> {
     pub(crate) maybe_own: &'a [bool],
     /// Position of the sensor [m, frame of the map].
     pub(crate) origin: [f64; 3],
+    /// Height of flat ground [m, frame of the map]. None if no flat ground is seen.
+    pub(crate) floor: Option<f64>,
     /// For each thing of unknown class that is no larger than a target, the indices of its points.
     pub(crate) things: &'a [&'a [u32]],
 }
@@ -113,6 +115,7 @@ mod tests {
             class: &[PointClass::Unknown; 3],
             maybe_own: &[],
             origin: [0.125; 3],
+            floor: None,
             things: &[&[0, 1], &[2]],
         };
         let things = Things::of(&scan, &lattice);
@@ -141,8 +144,14 @@ mod tests {
                 (0..40).map(|_| middle.map(|value: f32| value + random(1.2))).collect();
             let rows: Vec<u32> = (0..40).collect();
             let class = &[PointClass::Unknown; 40];
-            let scan =
-                ScanOfMovers { points: &points, class, maybe_own: &[], origin, things: &[&rows] };
+            let scan = ScanOfMovers {
+                points: &points,
+                class,
+                maybe_own: &[],
+                origin,
+                floor: None,
+                things: &[&rows],
+            };
             let things = Things::of(&scan, &lattice);
             let wide_points: Vec<[f64; 3]> = points.iter().map(|&point| wide(point)).collect();
             let shadow = Shadow::of(&wide_points, origin, &lattice);
