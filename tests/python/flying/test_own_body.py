@@ -174,6 +174,15 @@ def test_on_straight_ways_the_robot_is_never_reported(seed):
     assert not frame.status.own_body_is_decided
 
 
+def test_droplets_do_not_hide_the_robot_and_are_none():
+    """In fog, every voxel beside the robot has returns now and then."""
+    fog = sim.scenes.fog_street(1, scans=20)
+    shares = [frame.status.own_body for _, frame, _ in frames(fog)]
+    assert min(shares[6:]) > 0.07  # 0.14 of the rays
+    for _, frame, _ in frames(fog.model_copy(update={"own_body": ()})):
+        assert frame.status.own_body == 0
+
+
 # --- saved maps, limits, shares: cheap scans ---------------------------------------------------
 
 DRIVE = yard(scans=30, sensor=sim.Circle(center=(0.0, 0.0, 3.0), radius=6.0, speed=6.0))

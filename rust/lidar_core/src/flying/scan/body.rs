@@ -5,7 +5,8 @@
 //! belongs to the robot, if it is connected with the near zone, does not continue into the distance (ground, walls
 //! along the path), and is not on the ground. While the sensor moves straight on, an object that accompanies it closely
 //! looks the same. So no result is final: a voxel without returns is removed again. After a turn of more than 30
-//! degrees the result counts as decided.
+//! degrees the result counts as decided. Droplets in the air do not count: in fog, they connect the robot with the
+//! world.
 
 use super::body_voxels::{GAP, VOLUME, WORDS, around, beside, center_of, has, voxel_of};
 use crate::geometry::lattice::wide;
@@ -185,10 +186,11 @@ impl Body {
     }
 
     /// Count the returns of an accepted scan. The points are in the sensor's frame [m]; `pose` is that of the sensor.
+    /// `is_return`: whether the point at an index is a return of something solid.
     pub(crate) fn learn(
         &mut self,
         points: &[[f32; 3]],
-        no_return: Option<&[bool]>,
+        is_return: impl Fn(usize) -> bool,
         pose: &Transform,
     ) {
         let first = *self.first.get_or_insert(*pose);
@@ -201,7 +203,7 @@ impl Body {
             return; // nothing new
         }
         self.number = self.number.wrapping_add(1);
-        self.count(points, no_return, is_next, is_still);
+        self.count(points, is_return, is_next, is_still);
         self.n_scans += u32::from(is_still);
         if self.n_scans >= STILL_SCANS {
             self.n_scans /= 2; // what has left is forgotten
@@ -267,15 +269,15 @@ impl Body {
     fn count(
         &mut self,
         points: &[[f32; 3]],
-        no_return: Option<&[bool]>,
+        is_return: impl Fn(usize) -> bool,
         is_next: bool,
         is_still: bool,
     ) {
         self.met.fill(0);
         for (row, &point) in points.iter().enumerate() {
             let point = wide(point);
-            let is_return = norm(point) > LEAST_RANGE && no_return.is_none_or(|flags| !flags[row]);
-            let Some(voxel) = voxel_of(point).filter(|_| is_return) else { continue };
+            let is_usable = norm(point) > LEAST_RANGE && is_return(row);
+            let Some(voxel) = voxel_of(point).filter(|_| is_usable) else { continue };
             if has(&self.met, voxel) {
                 continue;
             }
@@ -421,7 +423,7 @@ mod tests {
         let mut body = Body::default();
         for step in 0..12 {
             let pose = pose(0.5 * f64::from(step), 0.0);
-            body.learn(&scan(&pose), None, &pose);
+            body.learn(&scan(&pose), |_| true, &pose);
         }
         assert!(body.contains([-1.8, 0.0, -0.4]) && !body.is_decided());
         for other in [[2.0, 1.5, 0.0], [0.0, 1.5, 0.5], [3.0, 0.0, -2.0], [-1.8, 0.0, -2.0]] {
@@ -429,7 +431,7 @@ mod tests {
         }
         for step in 0..12 {
             let pose = pose(6.0, 0.06 * f64::from(step));
-            body.learn(&scan(&pose), None, &pose);
+            body.learn(&scan(&pose), |_| true, &pose);
         }
         assert!(body.is_decided() && body.contains([-1.8, 0.0, -0.4]));
     }
@@ -441,7 +443,7 @@ mod tests {
             let pose = pose(0.5 * f64::from(step), 0.02 * f64::from(step));
             let mut points = scan(&pose);
             points.extend((0..50).map(|index| [0.01 * index as f32, 5.0, 0.5]));
-            body.learn(&points, None, &pose);
+            body.learn(&points, |_| true, &pose);
         }
         assert!(!body.contains([0.2, 5.0, 0.5]) && body.contains([-1.8, 0.0, -0.4]));
     }
@@ -463,7 +465,7 @@ mod tests {
             let mut points = scan(&pose);
             near(&mut points, [0.4 * libm::cos(angle), 3.0 + 0.4 * libm::sin(angle)]);
             near(&mut points, [1.0, -2.5]); // a mirror on an arm
-            body.learn(&points, None, &pose);
+            body.learn(&points, |_| true, &pose);
         }
         let hits = (0..VOLUME).filter(|&voxel| has(&body.mask, voxel)).map(center_of);
         assert!(hits.filter(|center| center[1] > 1.5 && center[2] > 0.0).count() == 0);
@@ -479,7 +481,7 @@ mod tests {
             if step < 10 {
                 points.extend((0..50).map(|index| [0.01 * index as f32, -1.0, 0.5]));
             }
-            body.learn(&points, None, &pose);
+            body.learn(&points, |_| true, &pose);
             if step == 9 {
                 assert!(body.contains([0.2, -1.0, 0.5]));
             }
@@ -493,7 +495,7 @@ mod tests {
         let still = pose(0.0, 0.0);
         let thing: Vec<[f32; 3]> = (0..50).map(|index| [1.5, 0.01 * index as f32, 0.5]).collect();
         for scan in 0..100 {
-            body.learn(if scan < 60 { &thing } else { &[[4.0, 4.0, 0.5]] }, None, &still);
+            body.learn(if scan < 60 { &thing } else { &[[4.0, 4.0, 0.5]] }, |_| true, &still);
             if scan == 59 {
                 assert!(body.may_contain([1.5, 0.2, 0.5]));
             }
@@ -506,7 +508,7 @@ mod tests {
         let mut body = Body::default();
         for step in 0..4 {
             let pose = pose(1.2 * f64::from(step), 0.0);
-            body.learn(&scan(&pose), None, &pose);
+            body.learn(&scan(&pose), |_| true, &pose);
             assert_eq!(body.may_contain([-1.8, 0.0, -0.4]), step > 0);
             assert!(!body.is_found());
             // The opposites: the wall along the way, the ground, and what is nowhere.
@@ -523,8 +525,7 @@ mod tests {
             let mut points = vec![[0.0f32; 3]; 20];
             points.extend([[0.1f32; 3]; 20]);
             points.extend([[1.0f32, 0.0, 0.0]; 20]);
-            let flags: Vec<bool> = (0..60).map(|row| row >= 40).collect();
-            body.learn(&points, Some(&flags), &pose(0.5 * f64::from(step), 0.0));
+            body.learn(&points, |row| row < 40, &pose(0.5 * f64::from(step), 0.0));
         }
         for place in [[0.0; 3], [0.1; 3], [1.0, 0.0, 0.0]] {
             assert!(!body.contains(place), "{place:?}");
@@ -535,7 +536,7 @@ mod tests {
         let mut body = Body::default();
         for step in 0..30 {
             let pose = pose(0.5 * f64::from(step), 0.05 * f64::from(step));
-            body.learn(&scan(&pose), None, &pose);
+            body.learn(&scan(&pose), |_| true, &pose);
         }
         body
     }
@@ -550,7 +551,7 @@ mod tests {
         assert!(body.is_decided() && body.contains([-1.8, 0.0, -0.4]));
         for step in 0..60 {
             let pose = pose((0.5 * f64::from(step) - 10.0).max(0.0), 0.0); // stands, then drives
-            body.learn(&scan(&pose), None, &pose);
+            body.learn(&scan(&pose), |_| true, &pose);
             assert!(body.is_decided() && body.contains([-1.8, 0.0, -0.4]), "{step}");
         }
     }
@@ -566,7 +567,7 @@ mod tests {
             for step in 0..FIRST_SCANS {
                 let pose = pose(speed * f64::from(step), 0.0);
                 let turned = scan(&pose).into_iter().map(|[x, y, z]| [-x, y, z]);
-                body.learn(&turned.collect::<Vec<_>>(), None, &pose);
+                body.learn(&turned.collect::<Vec<_>>(), |_| true, &pose);
             }
             assert!(!body.contains([-1.8, 0.0, -0.4]) && !body.is_decided(), "{speed}");
         }
@@ -576,7 +577,7 @@ mod tests {
     fn before_it_moves_a_sensor_may_see_its_robot() {
         let mut body = Body::default();
         for _ in 0..8 {
-            body.learn(&scan(&pose(0.0, 0.0)), None, &pose(0.0, 0.0));
+            body.learn(&scan(&pose(0.0, 0.0)), |_| true, &pose(0.0, 0.0));
         }
         assert!(body.may_contain([-1.8, 0.0, -0.4]) && !body.contains([-1.8, 0.0, -0.4]));
         assert!(!body.may_contain([0.0, 1.5, 0.5]));

@@ -354,7 +354,9 @@ impl Sensor {
             self.near_counts.clear();
         }
         if let Some(body) = &mut self.body {
-            body.learn(points, no_return, pose);
+            let is_empty = |row: usize| no_return.is_some_and(|flags| flags[row]);
+            let is_drop = |row: usize| is_droplet.get(row).is_some_and(|&is_one| is_one);
+            body.learn(points, |row| !is_empty(row) && !is_drop(row), pose);
         }
         if self.learnt_scans < self.parameters.learn_mask_scans {
             self.learnt_scans += 1;
