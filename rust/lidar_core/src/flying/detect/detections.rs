@@ -4,6 +4,7 @@ use super::center::Center;
 use super::detection::{Detection, Teammate};
 use super::filled::share_of_expected;
 use super::hole::is_joined;
+use super::near_ground::is_just_above_ground;
 use super::parts::UnitedClusters;
 use super::surroundings::{
     are_rays_lost_below, is_among_surfaces, is_free_below_rest, is_hidden_below,
@@ -110,6 +111,8 @@ fn centered(
         } else if is_hidden_below(scan, cluster) {
             detection.is_over_unseen = true;
         }
+    } else if detection.is_free_below.is_none() && is_just_above_ground(scan, cluster) {
+        detection.is_free_below = Some(false);
     }
     // The rays into a sky that is known by its density are made up: those that passed are not known.
     if scan.sky == SkySource::Density {

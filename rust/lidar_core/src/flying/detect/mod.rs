@@ -6,6 +6,7 @@ pub(crate) mod detections;
 mod filled;
 pub(crate) mod follow_up;
 pub(crate) mod hole;
+mod near_ground;
 pub(crate) mod parts;
 pub(crate) mod surroundings;
 pub(crate) mod visibility;

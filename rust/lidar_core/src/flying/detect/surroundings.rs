@@ -131,26 +131,26 @@ fn are_lost_below(
 }
 
 /// The lower edge of a cluster, in the plane through the cluster across the line of sight [m].
-struct LowerEdge {
-    view: View,
+pub(super) struct LowerEdge {
+    pub(super) view: View,
     /// Left and right end of the region below the cluster, somewhat wider than the cluster [m].
-    left: f64,
-    right: f64,
+    pub(super) left: f64,
+    pub(super) right: f64,
     low: f64,
 }
 
 /// A return that is seen below a cluster.
-struct ReturnBelow {
+pub(super) struct ReturnBelow {
     /// Height in the plane through the cluster across the line of sight [m].
-    up: f64,
+    pub(super) up: f64,
     /// Difference of its range to that of the cluster, positive if it is further away [m].
-    further: f64,
+    pub(super) further: f64,
     /// Vector from the sensor to the return [m].
-    way: [f64; 3],
+    pub(super) way: [f64; 3],
 }
 
 impl LowerEdge {
-    fn of(scan: &Prepared, cluster: &Cluster<'_>) -> Option<Self> {
+    pub(super) fn of(scan: &Prepared, cluster: &Cluster<'_>) -> Option<Self> {
         let view = View::of(scan, cluster)?;
         let (mut left, mut right, mut low) = (f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY);
         let place = |&row: &u32| view.seen(wide(scan.points[row as usize]));
@@ -162,7 +162,7 @@ impl LowerEdge {
 
     /// Height of the lowest of the returns `below` that continue the cluster downwards at its
     /// range, row by row. Height of its own lower end if there are none.
-    fn end_of_rest(&self, below: &[ReturnBelow]) -> f64 {
+    pub(super) fn end_of_rest(&self, below: &[ReturnBelow]) -> f64 {
         let is_beside = |one: &&ReturnBelow| one.further.abs() < SAME_RANGE;
         let mut heights: Vec<f64> = below.iter().filter(is_beside).map(|one| one.up).collect();
         heights.sort_unstable_by(|one, other| other.total_cmp(one));
@@ -171,7 +171,10 @@ impl LowerEdge {
     }
 
     /// The returns of the scan below the cluster, between its left and right end.
-    fn below<'a>(&'a self, scan: &'a Prepared) -> impl Iterator<Item = ReturnBelow> + 'a {
+    pub(super) fn below<'a>(
+        &'a self,
+        scan: &'a Prepared,
+    ) -> impl Iterator<Item = ReturnBelow> + 'a {
         scan.points.iter().filter_map(|&point| {
             let ([aside, up], further) = self.view.seen(wide(point))?;
             let is_below = (self.left..self.right).contains(&aside) && up < self.low;
