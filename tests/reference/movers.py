@@ -12,6 +12,7 @@ import numpy as np
 
 REMEMBERED, STANDS, HIDDEN = 10.0, 10.0, 2.0  # [s]
 LATER = 0.4
+NEXT = 1.0  # [s]
 FEWEST_POINTS, FEWEST_OPEN = 8, 2
 ABOVE_GROUND = 0.75  # [m]
 AROUND = [one for one in itertools.product((-1, 0, 1), repeat=3) if any(one)]
@@ -80,7 +81,8 @@ class Movers:
             return voxel in self.entered and not is_standing(voxel)
 
         def has_come(voxel):
-            return is_entered(voxel) or voxel in self.arrived
+            came = self.arrived.get(voxel)
+            return is_entered(voxel) or (came is not None and time - came[0] <= NEXT)
 
         def is_open(voxel, also):
             is_empty = not is_standing(voxel) and (is_certain(voxel) or also(voxel))

@@ -18,6 +18,10 @@ use std::hash::BuildHasherDefault;
 /// visible, such as a post that rays missed before, is in all its voxels from the first scan on.
 const LATER: f64 = 0.4;
 
+/// Time in which a moving part enters the next voxel, at most [ns]. Where the given poses drift, surfaces enter free
+/// space, too, but by less than 0.25 m/s.
+const NEXT_NS: i64 = 1_000_000_000;
+
 /// Voxels that were certainly free, and had no returns for a while, until something came into them.
 ///
 /// A scan changes nothing before it is accepted: it may be refused or stopped after this search.
@@ -81,6 +85,12 @@ impl ArrivedVoxels {
     /// True if something came into the voxel a short time ago.
     pub(super) fn contains(&self, voxel: Voxel) -> bool {
         self.next.contains_key(&Place(voxel))
+    }
+
+    /// True if something came into the voxel less than [`NEXT_NS`] ago.
+    pub(super) fn came_lately(&self, voxel: Voxel) -> bool {
+        let stay = self.next.get(&Place(voxel));
+        stay.is_some_and(|stay| self.now_ns.saturating_sub(stay.first_ns) <= NEXT_NS)
     }
 
     /// True if something that stands had returns from the voxel, which is or was free.
@@ -247,6 +257,17 @@ mod tests {
         arrivals.begin(SCAN);
         assert_eq!(ROW.map(|voxel| arrivals.contains(voxel)), [false; 4]);
         assert!(!arrivals.has_standing(ROW[3]) && !arrivals.has_standing([9, 0, 0]));
+        Ok(())
+    }
+
+    #[test]
+    fn what_came_long_ago_did_not_come_lately() -> Result<(), Error> {
+        let (map, mut arrivals) = (map()?, ArrivedVoxels::default());
+        for (number, is_late) in [(0, false), (10, false), (11, true)] {
+            scan(&mut arrivals, &map, number, &ROW[..1]);
+            assert!(arrivals.contains(ROW[0]) && !arrivals.came_lately(ROW[1]));
+            assert_eq!(arrivals.came_lately(ROW[0]), !is_late, "{number}");
+        }
         Ok(())
     }
 

@@ -221,7 +221,7 @@ impl GroundMovers {
         // Beside a mover is also what stands. That may not count as free, or surfaces would become movers bit by bit.
         let is_entered =
             |voxel: Voxel| self.is_entered(voxel) && !self.arrivals.has_standing(voxel);
-        let has_come = |voxel: Voxel| is_entered(voxel) || self.arrivals.contains(voxel);
+        let has_come = |voxel: Voxel| is_entered(voxel) || self.arrivals.came_lately(voxel);
         let mut is_open = |voxel: Voxel, also: &dyn Fn(Voxel) -> bool| {
             let hides = |beside| things.hide(voxel, beside);
             !self.arrivals.has_standing(voxel) && space.is_open(voxel, also, hides)
