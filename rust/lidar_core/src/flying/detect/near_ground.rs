@@ -29,12 +29,16 @@ pub(super) fn is_just_above_ground(scan: &Prepared, cluster: &Cluster<'_>) -> bo
     let next = below.iter().map(|one| one.up).filter(|&up| up < end - ROW);
     let next = next.fold(f64::NEG_INFINITY, f64::max);
     let row = || below.iter().filter(|one| (next - ROW..=next).contains(&one.up));
-    let front: Vec<[f64; 2]> = row().filter(|one| one.further < -APART).map(place).collect();
+    // Tables in front and walls behind lie along the rays, too.
+    let is_low = |height: f64| scan.pose.translation[2] + height < scan.low;
+    let front = row().filter(|one| one.further < -APART).map(place);
+    let front: Vec<[f64; 2]> = front.filter(|&[_, up]| is_low(up)).collect();
     if front.len() < FEWEST.max(row().count() / 2 + 1) {
         return false;
     }
     let [distance, height] = mean(&front);
-    let is_ground = |[far, up]: [f64; 2]| (up - height).abs() <= STEEPEST * (far - distance);
+    let is_ground =
+        |[far, up]: [f64; 2]| is_low(up) && (up - height).abs() <= STEEPEST * (far - distance);
     let behind: Vec<[f64; 2]> = beside(scan, &edge, end).collect();
     let n_ground = behind.iter().filter(|&&one| is_ground(one)).count();
     n_ground >= FEWEST && 2 * n_ground > behind.len()
@@ -77,7 +81,7 @@ mod tests {
         let row = |(away, up, aside): (f32, f32, f32)| {
             (0..5).map(move |step| [away, (aside + 0.1 * step as f32) * away / 15.0, up])
         };
-        let mut scan = Prepared::default();
+        let mut scan = Prepared { low: -1.9, ..Prepared::default() };
         scan.points = row((15.0, -1.2, 0.0)).chain(row((15.0, -1.7, 0.0))).collect();
         scan.points.extend(rows.iter().copied().flat_map(row));
         let labels: Vec<i32> =
@@ -96,6 +100,7 @@ mod tests {
         assert!(!is_just_above(&[behind]), "nothing is below");
         assert!(!is_just_above(&[front, (60.0, -6.8, 0.7)]), "a roof ends in front of it");
         assert!(!is_just_above(&[(18.0, -2.3, 0.0), behind]), "a ray passes below");
-        assert!(!is_just_above(&[(8.0, -0.95, 0.0), behind, front]), "something else is in front");
+        assert!(!is_just_above(&[(8.0, -0.95, 0.0), behind, front]), "a table is in front");
+        assert!(!is_just_above(&[front, (16.0, -1.81, 0.7)]), "a wall is behind");
     }
 }

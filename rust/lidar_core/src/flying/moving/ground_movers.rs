@@ -68,6 +68,15 @@ impl Below {
     }
 }
 
+/// Voxels with returns in open space, and those beside them, by their indices.
+struct OpenVoxels {
+    /// Voxels where nothing stood before: movers are in them.
+    moving: Vec<usize>,
+    /// Voxels that were free, also where something stood before. In the air this is enough: a target may have hovered
+    /// there in the burn-in, as background.
+    free: Vec<usize>,
+}
+
 /// Search for the points of movers in one scan after another.
 #[derive(Default)]
 pub(crate) struct GroundMovers {
@@ -106,36 +115,44 @@ impl GroundMovers {
         let steps = (ABOVE_GROUND / map.lattice().voxel_size()).ceil() as i32;
         let found = self.in_free_space(scan, map, &mut space);
         self.sort_voxels(scan, &found, &mut space);
-        let movers = self.in_open_space(scan, map, &found.voxels, &mut space)?;
-        let places: Vec<Voxel> = movers.iter().map(|&at| found.voxels[at]).collect();
+        let open = self.in_open_space(scan, map, &found.voxels, &mut space)?;
         let known = &self.next;
         let is_entered = |voxel: Voxel| known.contains_key(&Place(voxel));
         let mut entered = Vec::new();
-        for part in parts(&places) {
-            let n_points: usize = part.iter().map(|&at| found.rows(movers[at]).len()).sum();
-            if n_points < FEWEST_POINTS {
-                continue;
-            }
-            let mut below = |&at: &usize| Below::of(&mut cursor, places[at], steps, is_entered);
-            let below: Vec<Below> = part.iter().map(&mut below).collect();
-            let is_in_air = below.iter().all(|&one| one == Below::Free);
-            let is_over_unseen = !is_in_air && !below.contains(&Below::Occupied);
-            for &at in &part {
-                let moving = if is_in_air { &mut self.in_air } else { &mut self.rows };
-                moving.extend(found.rows(movers[at]));
+        for (movers, is_ground_searched) in [(&open.moving, true), (&open.free, false)] {
+            let places: Vec<Voxel> = movers.iter().map(|&at| found.voxels[at]).collect();
+            for part in parts(&places) {
+                let n_points: usize = part.iter().map(|&at| found.rows(movers[at]).len()).sum();
+                if n_points < FEWEST_POINTS {
+                    continue;
+                }
+                let mut below = |&at: &usize| Below::of(&mut cursor, places[at], steps, is_entered);
+                let below: Vec<Below> = part.iter().map(&mut below).collect();
+                let is_in_air = below.iter().all(|&one| one == Below::Free);
+                let is_over_unseen = !is_in_air && !below.contains(&Below::Occupied);
+                let rows = || part.iter().flat_map(|&at| found.rows(movers[at]));
+                if is_in_air {
+                    self.in_air.extend(rows());
+                } else if is_ground_searched {
+                    self.rows.extend(rows());
+                }
                 if is_over_unseen {
-                    self.over_unseen.extend(found.rows(movers[at]));
+                    self.over_unseen.extend(rows());
+                }
+                if is_in_air || is_over_unseen || is_ground_searched {
+                    entered.extend(part.iter().map(|&at| (Place(places[at]), is_in_air)));
                 }
             }
-            entered.extend(part.iter().map(|&at| (Place(places[at]), is_in_air)));
         }
         for (place, is_in_air) in entered {
             self.arrivals.remove(place);
             let stay = self.next.entry(place).or_insert_with(|| Stay::new(stamp_ns));
             (stay.last_ns, stay.is_in_air) = (stamp_ns, is_in_air);
         }
-        self.in_air.sort_unstable();
-        self.over_unseen.sort_unstable();
+        for points in [&mut self.in_air, &mut self.over_unseen] {
+            points.sort_unstable();
+            points.dedup();
+        }
         Ok(())
     }
 
@@ -209,15 +226,21 @@ impl GroundMovers {
         self.next.contains_key(&Place(voxel))
     }
 
-    /// Indices of the voxels that are in open space, or beside such voxels.
+    /// The voxels that are in open space, and those beside them.
     fn in_open_space(
         &self,
         scan: &ScanOfMovers<'_>,
         map: &VoxelMap,
         voxels: &[Voxel],
         space: &mut FreeSpace<'_>,
-    ) -> Result<Vec<usize>, Error> {
+    ) -> Result<OpenVoxels, Error> {
         let things = Things::of(scan, map.lattice());
+        let watch = cancel::watch();
+        let mut was_free = |voxel: Voxel| {
+            space.is_open(voxel, |one| self.is_entered(one), |beside| things.hide(voxel, beside))
+        };
+        let free: Vec<bool> =
+            voxels.iter().map(|&voxel| !watch.is_asked() && was_free(voxel)).collect();
         // Beside a mover is also what stands. That may not count as free, or surfaces would become movers bit by bit.
         let is_entered =
             |voxel: Voxel| self.is_entered(voxel) && !self.arrivals.has_standing(voxel);
@@ -226,7 +249,6 @@ impl GroundMovers {
             let hides = |beside| things.hide(voxel, beside);
             !self.arrivals.has_standing(voxel) && space.is_open(voxel, also, hides)
         };
-        let watch = cancel::watch();
         let mut open: Vec<bool> =
             voxels.iter().map(|&voxel| !watch.is_asked() && is_open(voxel, &has_come)).collect();
         watch.check()?;
@@ -240,8 +262,11 @@ impl GroundMovers {
                 }
             }
         }
-        let chosen = with_beside(voxels, &open, FEWEST_OPEN);
-        Ok((0..voxels.len()).filter(|&at| chosen[at]).collect())
+        let chosen = |open: &[bool]| {
+            let is_chosen = with_beside(voxels, open, FEWEST_OPEN);
+            (0..voxels.len()).filter(|&at| is_chosen[at]).collect()
+        };
+        Ok(OpenVoxels { moving: chosen(&open), free: chosen(&free) })
     }
 
     /// Points that are not known to fly, in voxels that are free, or were free before something entered them.
