@@ -93,7 +93,7 @@ Resume: TypeAlias = Annotated[
     bool,
     typer.Option(
         "--resume",
-        help="Continue an interrupted run.",
+        help="Continue a run that was killed; one that ended with Ctrl-C is complete.",
         rich_help_panel=WRITTEN,
     ),
 ]

@@ -98,6 +98,18 @@ def test_only_people_move_before_a_sensor_that_flies(seed, sensor):
     assert found >= (0.35 if sensor == "os1-64" else 0.2)  # many are beside walls
 
 
+@pytest.mark.parametrize("velocity", [(0.0, 0.0, 0.1), (0.05, 0.0, 0.0)], ids=["up", "ahead"])
+def test_surfaces_do_not_move_where_poses_drift(velocity):
+    person = sim.Body(shape=sim.Box(size=(0.6, 0.4, 1.7)), position=(5.0, 2.0, 0.85))
+    small = lidar(32, columns=360, half_deg=30.0)
+    detector = FlyingObjectDetector()
+    for number, one in enumerate(scans_of(yard(scans=100, bodies=(*BODIES, person), lidar=small))):
+        poses = np.array(one.poses)
+        poses[..., :3, 3] += 0.1 * number * np.array(velocity)
+        frame = feed(detector, one, world_from_lidar=poses)
+        assert not (frame.point_class == MOVING).any(), f"scan {number}"
+
+
 @pytest.mark.nightly
 def test_hardly_any_point_moves_where_all_stands():
     """Trees in wind do move, but leaves come back to where they were."""

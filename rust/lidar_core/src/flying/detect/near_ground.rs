@@ -16,7 +16,7 @@ const ROW: f64 = 0.1;
 /// Width on both sides of a target in which its lowest row may meet the ground behind [m].
 const ASIDE: f64 = 1.0;
 /// Steepest slope of the ground from the returns in front to those behind.
-const STEEPEST: f64 = 0.1;
+const STEEPEST: f64 = 0.05;
 /// Smallest number of ground returns in front, and behind.
 const FEWEST: usize = 2;
 
@@ -81,7 +81,8 @@ mod tests {
         let row = |(away, up, aside): (f32, f32, f32)| {
             (0..5).map(move |step| [away, (aside + 0.1 * step as f32) * away / 15.0, up])
         };
-        let mut scan = Prepared { low: -1.9, ..Prepared::default() };
+        let mut scan = Prepared::default();
+        scan.low = -1.9;
         scan.points = row((15.0, -1.2, 0.0)).chain(row((15.0, -1.7, 0.0))).collect();
         scan.points.extend(rows.iter().copied().flat_map(row));
         let labels: Vec<i32> =
@@ -100,7 +101,7 @@ mod tests {
         assert!(!is_just_above(&[behind]), "nothing is below");
         assert!(!is_just_above(&[front, (60.0, -6.8, 0.7)]), "a roof ends in front of it");
         assert!(!is_just_above(&[(18.0, -2.3, 0.0), behind]), "a ray passes below");
-        assert!(!is_just_above(&[(8.0, -0.95, 0.0), behind, front]), "a table is in front");
+        assert!(!is_just_above(&[(8.0, -1.1, 0.0), behind, front]), "a table is in front");
         assert!(!is_just_above(&[front, (16.0, -1.81, 0.7)]), "a wall is behind");
     }
 }

@@ -10,9 +10,10 @@ use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::hash::BuildHasherDefault;
 
-/// Time for which returns are remembered at least, and half of the time for which they are remembered at most [s].
+/// Time for which returns are remembered at least, unless a set is full, and half of the time for which they are
+/// remembered at most [s].
 const REMEMBERED: f64 = 10.0;
-/// Number of blocks in a set from which on the next scan begins a new one (20 MB), however short the time was.
+/// Number of blocks in a set from which on the next scan begins a new one (some 40 MB), however short the time was.
 const MOST_BLOCKS: usize = 1 << 18;
 
 /// Set of voxels: one bit for each voxel of a block.
