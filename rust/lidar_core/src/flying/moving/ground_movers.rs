@@ -236,11 +236,7 @@ impl GroundMovers {
     ) -> Result<OpenVoxels, Error> {
         let things = Things::of(scan, map.lattice());
         let watch = cancel::watch();
-        let mut was_free = |voxel: Voxel| {
-            space.is_open(voxel, |one| self.is_entered(one), |beside| things.hide(voxel, beside))
-        };
-        let free: Vec<bool> =
-            voxels.iter().map(|&voxel| !watch.is_asked() && was_free(voxel)).collect();
+        let free = self.are_free(voxels, &things, space);
         // Beside a mover is also what stands. That may not count as free, or surfaces would become movers bit by bit.
         let is_entered =
             |voxel: Voxel| self.is_entered(voxel) && !self.arrivals.has_standing(voxel);
@@ -267,6 +263,20 @@ impl GroundMovers {
             (0..voxels.len()).filter(|&at| is_chosen[at]).collect()
         };
         Ok(OpenVoxels { moving: chosen(&open), free: chosen(&free) })
+    }
+
+    /// For each voxel, whether it is in open space, also where something stood before.
+    fn are_free(
+        &self,
+        voxels: &[Voxel],
+        things: &Things<'_>,
+        space: &mut FreeSpace<'_>,
+    ) -> Vec<bool> {
+        let watch = cancel::watch();
+        let mut is_free = |voxel: Voxel| {
+            space.is_open(voxel, |one| self.is_entered(one), |beside| things.hide(voxel, beside))
+        };
+        voxels.iter().map(|&voxel| !watch.is_asked() && is_free(voxel)).collect()
     }
 
     /// Points that are not known to fly, in voxels that are free, or were free before something entered them.
