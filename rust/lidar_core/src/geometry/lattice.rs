@@ -66,7 +66,12 @@ impl Lattice {
     #[must_use]
     #[inline(always)]
     pub fn scaled(&self, point: [f64; 3]) -> [f64; 3] {
-        std::array::from_fn(|axis| (point[axis] - self.origin[axis]) / self.voxel_size)
+        let from_origin = |axis: usize| point[axis] - self.origin[axis];
+        // As in `scale`: the same bits with or without the inverse.
+        match self.exact_inverse {
+            Some(inverse) => std::array::from_fn(|axis| from_origin(axis) * inverse),
+            None => std::array::from_fn(|axis| from_origin(axis) / self.voxel_size),
+        }
     }
 
     /// Convert coordinates along `axis` [m] to units of voxels in place, like [`Self::scaled`].
@@ -147,7 +152,9 @@ pub fn floor(scaled: [f64; 3]) -> Option<Voxel> {
         if !is_index(scaled[axis]) {
             return None;
         }
-        voxel[axis] = scaled[axis].floor() as i32; // in range: checked above
+        // `f64::floor` is a call where the CPU's basic instructions cannot round. The cast rounds towards zero.
+        let whole = scaled[axis] as i32; // in range: checked above
+        voxel[axis] = whole - i32::from(f64::from(whole) > scaled[axis]);
     }
     Some(voxel)
 }
@@ -171,7 +178,7 @@ pub(crate) fn least(a: f64, b: f64) -> f64 {
 /// True if a coordinate in units of voxels has a valid voxel index.
 #[inline(always)]
 fn is_index(scaled: f64) -> bool {
-    scaled.floor().abs() < MAX_INDEX
+    (1.0 - MAX_INDEX..MAX_INDEX).contains(&scaled)
 }
 
 /// A point with coordinates of `f32`, as `f64`.

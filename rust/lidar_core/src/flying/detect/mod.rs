@@ -8,5 +8,6 @@ pub(crate) mod follow_up;
 pub(crate) mod hole;
 mod near_ground;
 pub(crate) mod parts;
+mod ray_groups;
 pub(crate) mod surroundings;
 pub(crate) mod visibility;

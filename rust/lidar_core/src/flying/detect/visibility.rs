@@ -2,6 +2,7 @@
 //! not hidden.
 
 use super::center::{Center, PassingRays, RaySource, TargetHit, TargetRay, TargetRegion};
+use super::ray_groups::{GROUP, RayCone};
 use crate::flying::analysis::PoseSpread;
 use crate::flying::scan::prepared::Prepared;
 use crate::flying::sky::source::SkySource;
@@ -14,12 +15,13 @@ use pulp::{Simd, WithSimd};
 use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::ops::Range;
+use std::sync::OnceLock;
 
 /// Relative margin for the early exclusion of rays: directions are unit vectors only up to
 /// rounding.
 const ROOM: f64 = 1e-6;
 /// Number of rays that are tested side by side.
-const LANES: usize = 32;
+const LANES: usize = GROUP;
 /// Number of rays that are tested before it is checked whether enough rays were found.
 const ROWS_AT_A_TIME: usize = 4096;
 const ROWS_PER_CHUNK: usize = 16_384; // fixed: chunk borders must not move with the thread count
@@ -34,6 +36,8 @@ pub(crate) struct ScanView<'a> {
     /// Uncertainty of the pose. None if it is unknown.
     spread: Option<PoseSpread>,
     pool: Option<&'a ThreadPool>,
+    /// Cones of the rays, each of [`GROUP`] rays that follow each other. Not computed for scans without targets.
+    cones: OnceLock<Vec<RayCone>>,
 }
 
 impl<'a> ScanView<'a> {
@@ -44,7 +48,7 @@ impl<'a> ScanView<'a> {
         spread: Option<PoseSpread>,
         pool: Option<&'a ThreadPool>,
     ) -> Self {
-        Self { scan, target_radius, range_std, spread, pool }
+        Self { scan, target_radius, range_std, spread, pool, cones: OnceLock::new() }
     }
 
     /// Centre of every target, given the indices of its points, of which there must be at least
@@ -210,10 +214,27 @@ impl ScanView<'_> {
         balls: &[TestedBall],
     ) -> impl Iterator<Item = usize> + use<> {
         let (first, lanes) = (rows.start, 0..LANES);
-        let near = dispatch(FindNearRays { view: self, rows, balls });
+        let cones = &self.cones()[first / GROUP..];
+        let near = dispatch(FindNearRays { view: self, rows, balls, cones });
         let some = (first..).step_by(LANES).zip(near).filter(|(_, flags)| *flags != 0);
         some.flat_map(move |(first, flags)| {
             lanes.clone().filter(move |lane| flags >> lane & 1 == 1).map(move |lane| first + lane)
+        })
+    }
+
+    /// Cones of all rays of the scan.
+    fn cones(&self) -> &[RayCone] {
+        self.cones.get_or_init(|| {
+            let rows = self.scan.points.len();
+            let mut rays = Vec::with_capacity(GROUP);
+            let cone = |first: usize| {
+                rays.clear();
+                let known = (first..rows.min(first + GROUP))
+                    .filter_map(|row| Some((self.scan.origin(row), self.way(row)?.0)));
+                rays.extend(known);
+                RayCone::of(&rays)
+            };
+            (0..rows).step_by(GROUP).map(cone).collect()
         })
     }
 
@@ -237,6 +258,8 @@ struct FindNearRays<'a> {
     view: &'a ScanView<'a>,
     rows: Range<usize>,
     balls: &'a [TestedBall],
+    /// Cones of `rows` and of the rays behind them.
+    cones: &'a [RayCone],
 }
 
 /// One bit for every ray of a chunk.
@@ -248,7 +271,11 @@ impl WithSimd for FindNearRays<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) -> RowBits {
         let mut all = [0; ROWS_PER_CHUNK / LANES];
-        for (first, flags) in self.rows.clone().step_by(LANES).zip(&mut all) {
+        let groups = self.rows.clone().step_by(LANES).zip(&mut all).zip(self.cones);
+        for ((first, flags), cone) in groups {
+            if !self.balls.iter().any(|ball| cone.may_meet(ball.middle, ball.radius)) {
+                continue;
+            }
             let lanes = self.view.lanes(first..self.rows.end.min(first + LANES));
             let near = lanes.near(self.balls);
             for (lane, near) in near.into_iter().enumerate() {

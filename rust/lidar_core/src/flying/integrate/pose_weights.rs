@@ -75,17 +75,28 @@ impl PoseError {
         })
     }
 
-    /// Length by which a ray along `span` (frame of the map) ends earlier because of the
-    /// uncertainty [m].
-    pub(crate) fn end_margin(&self, span: [f64; 3]) -> f64 {
-        // The angles move its end across, not along.
-        let along = self.map_from_world.inverse().rotate(span);
-        let length = norm(span).max(f64::MIN_POSITIVE);
-        let of_position: f64 = (0..3)
-            .map(|i| along[i] * (0..3).map(|j| self.covariance[i][j] * along[j]).sum::<f64>())
-            .sum::<f64>()
-            / (length * length);
-        self.end_sigmas * (of_position.max(0.0) + self.range_std * self.range_std).sqrt()
+    /// Add the lengths by which rays along `spans` (by axis, frame of the map) end earlier because of the uncertainty
+    /// to their `margins` [m]. Margins that are not finite stay as they are: these rays have no measured end.
+    #[inline(always)]
+    pub(crate) fn add_to_margins<const N: usize>(
+        &self,
+        spans: &[[f64; N]; 3],
+        margins: &mut [f64; N],
+    ) {
+        let world_from_map = self.map_from_world.inverse();
+        for lane in 0..N {
+            let span = [0, 1, 2].map(|axis: usize| spans[axis][lane]);
+            // The angles move its end across, not along.
+            let along = world_from_map.rotate(span);
+            let length = norm(span).max(f64::MIN_POSITIVE);
+            let of_position: f64 = (0..3)
+                .map(|i| along[i] * (0..3).map(|j| self.covariance[i][j] * along[j]).sum::<f64>())
+                .sum::<f64>()
+                / (length * length);
+            let variance = of_position.max(0.0) + self.range_std * self.range_std;
+            let margin = margins[lane] + self.end_sigmas * variance.sqrt();
+            margins[lane] = if margins[lane].is_finite() { margin } else { margins[lane] };
+        }
     }
 
     /// Per axis: the share of a point's weight that each voxel near `voxel` gets because of the
@@ -302,7 +313,12 @@ mod tests {
 
     #[test]
     fn rays_end_earlier_by_position_and_range_not_by_angles() {
-        let margin = |angle_std| error(0.03, angle_std).end_margin([3.0, 4.0, 0.0]);
+        let margin = |angle_std| {
+            let mut margins = [0.0, 1.0, f64::NEG_INFINITY];
+            error(0.03, angle_std).add_to_margins(&[[3.0; 3], [4.0; 3], [0.0; 3]], &mut margins);
+            assert_eq!(margins[1..], [1.0 + margins[0], f64::NEG_INFINITY]);
+            margins[0]
+        };
         assert!((margin(0.0) - 0.1).abs() < 1e-12);
         assert_eq!(margin(0.0), margin(0.5));
     }

@@ -78,10 +78,7 @@ impl Source<'_> {
         let mut margin = [self.parameters.end_margin; LANES];
         self.aim_without_return(index, &mut along, &mut margin);
         if let Some(error) = self.scan.pose_error {
-            // -infinity marks a ray that clears up to `max_range`: it has no measured end.
-            for (lane, margin) in margin.iter_mut().enumerate().filter(|(_, m)| m.is_finite()) {
-                *margin += error.end_margin(along.map(|axis| axis[lane]));
-            }
+            error.add_to_margins(&along, &mut margin); // those of rays up to `max_range` are -infinity
         }
         self.shorten(&start, &along, &margin, &mut end);
         RaySegments { start, end }

@@ -52,6 +52,12 @@ impl Block {
         self.rows.iter().flatten().any(|value| value.is_infinite())
     }
 
+    /// True if one of its voxels is tentatively or confidently occupied.
+    #[inline]
+    pub(crate) fn has_tentative(&self) -> bool {
+        self.tentative != Bits::default()
+    }
+
     /// Number of voxels that were observed.
     pub(crate) fn observed(&self) -> usize {
         self.rows.iter().flatten().filter(|value| !value.is_nan()).count()

@@ -22,7 +22,7 @@ pub(super) fn beside(voxels: &[u32]) -> Vec<u64> {
 pub(super) fn voxel_of(point: [f64; 3]) -> Option<usize> {
     let mut index = 0;
     for value in point {
-        let place = (value / SIZE + 0.5 * EDGE as f64).floor();
+        let place = value / SIZE + 0.5 * EDGE as f64;
         if !(0.0..EDGE as f64).contains(&place) {
             return None; // NaN, too
         }
