@@ -13,6 +13,7 @@ import numpy as np
 REMEMBERED, STANDS, HIDDEN = 10.0, 10.0, 2.0  # [s]
 LATER = 0.4
 NEXT = 1.0  # [s]
+FASTEST, SIZE = 15.0, 1.0  # [m/s], [m]
 FEWEST_POINTS, FEWEST_OPEN = 8, 2
 ABOVE_GROUND = 0.75  # [m]
 AROUND = [one for one in itertools.product((-1, 0, 1), repeat=3) if any(one)]
@@ -40,7 +41,9 @@ class Movers:
     def __init__(self, config) -> None:
         self.c = config.voxel_map
         self.sure = self.c.g_free + (self.c.initial - self.c.g_free) * 2.0**-8
-        self.entered, self.arrived = {}, {}  # voxel: times of the first and the last return
+        # voxel: times of the first and the last return, and whether it came from beside
+        self.entered = {}
+        self.arrived = {}  # voxel: times of the first and the last return
         self.newer, self.older, self.since = set(), set(), None
         self.newest = None
 
@@ -64,8 +67,14 @@ class Movers:
             rows.setdefault(voxel, []).append(row)
         come = {v for v in rows if is_free(v) or v in self.entered or v in self.arrived}
         self.newer |= set(rows) - come
-        for voxel in come - set(self.entered):
-            if voxel in self.arrived:
+        left = [v for v, stay in self.entered.items() if stay[1] == self.newest and v not in come]
+        for voxel in come:
+            if voxel in self.entered:
+                _, last, moves = self.entered[voxel]
+                if not moves and is_certain(voxel) and last < self.newest:
+                    del self.entered[voxel]
+                    self.newer.add(voxel)
+            elif voxel in self.arrived:
                 first, last = self.arrived.pop(voxel)
                 if is_certain(voxel) and last < self.newest:
                     self.newer.add(voxel)
@@ -75,6 +84,7 @@ class Movers:
                 self.arrived[voxel] = time, time
             elif is_certain(voxel):
                 self.newer.add(voxel)
+        since = 0.0 if self.newest is None else time - self.newest
         self.newest = time
 
         def is_entered(voxel):
@@ -105,11 +115,28 @@ class Movers:
         before = set(self.entered)
         for part in found:
             assert any(self.stands_on(voxel, before, value) for voxel in part), "may be in the air"
+        moving = [self.comes_from_beside(part, left, time, since) for part in found]
+        for part in found:
             for voxel in part:
                 is_mover[rows[voxel]] = True
                 self.arrived.pop(voxel, None)
-                self.entered[voxel] = self.entered.get(voxel, (time, time))[0], time
+                first, _, moves = self.entered.get(voxel, (time, time, False))
+                self.entered[voxel] = first, time, moves
+        for part in itertools.compress(found, moving):
+            for voxel in {one for v in part for one in [v, *beside(v)]} & set(self.entered):
+                self.entered[voxel] = *self.entered[voxel][:2], True
         return is_mover
+
+    def comes_from_beside(self, part, left, time, since):
+        """Whether a part came from beside. `since`: time since the scan before."""
+        first = {v: self.entered.get(v, self.arrived.get(v, (time,)))[0] for v in part}
+        early = {voxel[:2] for voxel in part if first[voxel] == min(first.values())}
+        if min(first.values()) < time:
+            later = sum(voxel[:2] not in early for voxel in part)
+            return later > 0 and later >= LATER * len(part)
+        reach = (FASTEST * since + SIZE) / self.c.voxel_size
+        pairs = itertools.product(left, part)
+        return any(max(abs(a[0] - b[0]), abs(a[1] - b[1])) <= reach for a, b in pairs)
 
     def forget(self, time):
         if self.since is None:
@@ -125,7 +152,9 @@ class Movers:
         gone = {voxel: stay for voxel, stay in self.arrived.items() if not is_kept(stay)}
         self.newer |= {voxel for voxel, (first, last) in gone.items() if last > first}
         self.arrived = {v: stay for v, stay in self.arrived.items() if v not in gone}
-        self.entered = {v: stay for v, stay in self.entered.items() if is_kept(stay)}
+        over = {voxel for voxel, stay in self.entered.items() if not is_kept(stay)}
+        self.newer |= {voxel for voxel in over if not self.entered[voxel][2]}
+        self.entered = {v: stay for v, stay in self.entered.items() if v not in over}
 
     def stands_on(self, voxel, before, value):
         """Something occupied is close below that is not of the mover itself."""

@@ -13,27 +13,59 @@ from reference.movers import Movers, counted, values_of
 SIZE = FlyingConfig().voxel_map.voxel_size
 
 
+def check_against_specification(made, tmp_path):
+    """Compare every point of every scan with the numpy reference. Returns movers per scan."""
+    detector, wanted, found = FlyingObjectDetector(), Movers(FlyingConfig()), []
+    for number, (one, times) in enumerate(made):
+        if number:  # a detector without scans has no map
+            detector.save_map(tmp_path / "map.lcvm")
+            value = values_of(VoxelMap.load(tmp_path / "map.lcvm"), SIZE)
+        else:
+            value = values_of(VoxelMap(FlyingConfig().voxel_map), SIZE)
+        frame = feed(detector, one, **times)
+        poses = one.poses.reshape(-1, 4, 4)
+        points = _points_in_world(one.scan, poses, one.pose_stamps_ns).astype(np.float32)
+        is_mover = wanted.find(points, frame.stamp_ns * 1e-9, value)
+        both, *others = counted(is_mover, frame.point_class == MOVING)
+        assert others == [0, 0], f"scan {number}"
+        found.append(both)
+    return np.array(found)
+
+
 @pytest.mark.ci_cases("1.3")
 @pytest.mark.parametrize("speed", [1.3, 3.0, 0.6], ids=str)
 def test_moving_points_are_those_of_the_specification(speed, tmp_path):
     target = walker((6.0, -3.0), (6.0, 1.0), speed=speed, wait=1.2)
     small = lidar(32, columns=360, half_deg=30.0)
     made = scans_of(yard(target, scans=round(20 + 8 / speed), bodies=BODIES, lidar=small))
-    detector, wanted, total = FlyingObjectDetector(), Movers(FlyingConfig()), 0
-    for number, one in enumerate(made):
-        if number:  # a detector without scans has no map
-            detector.save_map(tmp_path / "map.lcvm")
-            value = values_of(VoxelMap.load(tmp_path / "map.lcvm"), SIZE)
-        else:
-            value = values_of(VoxelMap(FlyingConfig().voxel_map), SIZE)
-        frame = feed(detector, one)
-        poses = one.poses.reshape(-1, 4, 4)
-        points = _points_in_world(one.scan, poses, one.pose_stamps_ns).astype(np.float32)
-        is_mover = wanted.find(points, one.scan.stamp_ns * 1e-9, value)
-        both, *others = counted(is_mover, frame.point_class == MOVING)
-        assert others == [0, 0], f"scan {number}"
-        total += both
-    assert total > 100
+    found = check_against_specification(((one, {}) for one in made), tmp_path)
+    assert found.sum() > 100
+
+
+POST = sim.Body(shape=sim.Cylinder(radius=0.15, height=2.2), position=(6.0, 1.0, 1.1))
+
+
+@pytest.mark.ci_cases("0.3")
+@pytest.mark.parametrize("period", [0.1, 0.3, 1.0], ids=str)
+def test_what_is_seen_now_and_then_stands(period, tmp_path):
+    """A post that every eighth scan shows: gaps of 0.8 to 8 s."""
+    small = lidar(32, columns=360, half_deg=30.0)
+    with_post = scans_of(yard(scans=44, bodies=(*BODIES, POST), lidar=small))
+    without = scans_of(yard(scans=44, bodies=BODIES, lidar=small))
+    is_shown = np.arange(44) % 8 == 7
+    is_shown[:20] = False
+
+    def scans():
+        for number, shown in enumerate(is_shown):
+            one = with_post[number] if shown else without[number]
+            times = {"stamp_ns": round(number * period * 1e9), "point_time_ns": None}
+            pose = one.poses.reshape(-1, 4, 4)[0]
+            yield one, {**times, "world_from_lidar": pose, "pose_stamps_ns": None}
+
+    found = check_against_specification(scans(), tmp_path)
+    looks = np.flatnonzero(is_shown)
+    assert found[looks[0]] > 10  # something new, which may move
+    assert not found[looks[2:]].any()
 
 
 @pytest.mark.ci_cases("1.3-10")

@@ -5,7 +5,7 @@
 
 use super::free_space::FreeSpace;
 use super::past_hits::{PastHits, SavedPastHits};
-use super::stay::{Stay, Stays, restored_stays, saved_stays};
+use super::stay::{Stay, Stays, came_in_turn, restored_stays, saved_stays};
 use crate::Error;
 use crate::flying::map::blocks::Place;
 use crate::geometry::lattice::Voxel;
@@ -13,10 +13,6 @@ use crate::util::key_hasher::KeyHasher;
 use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
 use std::hash::BuildHasherDefault;
-
-/// Smallest share of the voxels of a moving part that were entered later than the first one. What has only become
-/// visible, such as a post that rays missed before, is in all its voxels from the first scan on.
-const LATER: f64 = 0.4;
 
 /// Time in which a moving part enters the next voxel, at most [ns]. Where the given poses drift, surfaces enter free
 /// space, too, but by less than 0.25 m/s.
@@ -132,13 +128,19 @@ impl ArrivedVoxels {
         }
     }
 
+    /// Time at which something came into the voxel [ns]. None if nothing came, or if a mover is in it.
+    pub(super) fn first_ns(&self, voxel: Voxel) -> Option<i64> {
+        self.next.get(&Place(voxel)).map(|stay| stay.first_ns)
+    }
+
     /// True if something came into the voxels of a part one after the other.
     pub(super) fn came_in_turn(&self, part: impl Iterator<Item = Voxel>) -> bool {
-        let first = |voxel| self.next.get(&Place(voxel)).map(|stay| stay.first_ns);
-        let firsts: Vec<i64> = part.filter_map(first).collect();
-        let earliest = firsts.iter().min();
-        let later = firsts.iter().filter(|&first| Some(first) > earliest).count();
-        later > 0 && later as f64 >= LATER * firsts.len() as f64
+        came_in_turn(&part.filter_map(|voxel| self.first_ns(voxel)).collect::<Vec<_>>())
+    }
+
+    /// Stamp of the scan before [ns].
+    pub(super) fn newest_ns(&self) -> Option<i64> {
+        self.newest_ns
     }
 
     pub(super) fn clear(&mut self) {

@@ -4,7 +4,9 @@
 //! before, with something close below. These places are remembered, so that an object remains a mover while it stops
 //! for a moment. The places must be open: free space is around them, or what came there before. Otherwise surfaces
 //! that rays along them made free would move. What stands and is thin, such as a fence, is not a mover: it had returns
-//! from the same places before. Flat ground is not a mover either: on a dark or wet road, returns come only once the
+//! from the same places before. A mover comes from beside, voxel by voxel or from the voxels that it has left. What has
+//! only come into view, such as a post that rays meet now and then, is a mover until it comes back to the same place
+//! after a break, or is forgotten. Flat ground is not a mover either: on a dark or wet road, returns come only once the
 //! sensor is close, and rays along the road have made its place free before.
 //!
 //! A moving object with nothing close below is in the air. A large target that was once background, as in the
@@ -13,8 +15,9 @@
 //! unknown.
 
 use super::arrivals::{ArrivedVoxels, SavedArrivals};
+use super::entered::{EnteredVoxels, MovingPart};
 use super::free_space::{FreeSpace, parts, with_beside};
-use super::stay::{Stay, Stays, restored_stays, saved_stays};
+use super::stay::Stay;
 use super::things::{PointsByVoxel, ScanOfMovers, Things};
 use crate::Error;
 use crate::flying::map::blocks::{Cursor, Place};
@@ -81,11 +84,9 @@ struct OpenVoxels {
 #[derive(Default)]
 pub(crate) struct GroundMovers {
     /// Voxels that movers are in, or were in a short time ago.
-    entered: Stays,
+    entered: EnteredVoxels,
     /// Other voxels that something came into.
     arrivals: ArrivedVoxels,
-    /// What follows `entered` after the scan. It changes nothing before the scan is accepted.
-    next: Stays,
     /// Indices of the points of movers on the ground in the newest scan.
     rows: Vec<u32>,
     /// Indices of the points of objects that move in the air.
@@ -107,18 +108,17 @@ impl GroundMovers {
     ) -> Result<(), Error> {
         // Longer than other functions: its loop fills four lists from the same parts.
         self.skip();
-        let remembered = self.entered.iter().filter(|(_, stay)| stay.is_remembered(stamp_ns));
-        self.next.extend(remembered.map(|(&place, &stay)| (place, stay)));
         self.arrivals.begin(stamp_ns);
+        self.entered.begin(stamp_ns, &mut self.arrivals);
         let mut space = FreeSpace::of(map);
         let mut cursor = Cursor::new(&map.blocks);
         let steps = (ABOVE_GROUND / map.lattice().voxel_size()).ceil() as i32;
         let found = self.in_free_space(scan, map, &mut space);
+        self.entered.look(&found.voxels);
         self.sort_voxels(scan, &found, &mut space);
         let open = self.in_open_space(scan, map, &found.voxels, &mut space)?;
-        let known = &self.next;
-        let is_entered = |voxel: Voxel| known.contains_key(&Place(voxel));
-        let mut entered = Vec::new();
+        let is_entered = |voxel: Voxel| self.entered.contains(voxel);
+        let mut moving = Vec::new();
         for (movers, is_ground_searched) in [(&open.moving, true), (&open.free, false)] {
             let places: Vec<Voxel> = movers.iter().map(|&at| found.voxels[at]).collect();
             for part in parts(&places) {
@@ -140,15 +140,12 @@ impl GroundMovers {
                     self.over_unseen.extend(rows());
                 }
                 if is_in_air || is_over_unseen || is_ground_searched {
-                    entered.extend(part.iter().map(|&at| (Place(places[at]), is_in_air)));
+                    let voxels = part.iter().map(|&at| places[at]).collect();
+                    moving.push(MovingPart { voxels, is_in_air });
                 }
             }
         }
-        for (place, is_in_air) in entered {
-            self.arrivals.remove(place);
-            let stay = self.next.entry(place).or_insert_with(|| Stay::new(stamp_ns));
-            (stay.last_ns, stay.is_in_air) = (stamp_ns, is_in_air);
-        }
+        self.entered.enter(&moving, &mut self.arrivals, map.lattice().voxel_size());
         for points in [&mut self.in_air, &mut self.over_unseen] {
             points.sort_unstable();
             points.dedup();
@@ -158,19 +155,13 @@ impl GroundMovers {
 
     /// Store what the newest scan has shown. Without it, the scan has no effect on later ones.
     pub(crate) fn accept(&mut self) {
-        std::mem::swap(&mut self.entered, &mut self.next);
+        self.entered.accept();
         self.arrivals.accept();
     }
 
     /// Indices of the points beside objects that moved in the air in the newest scan with such objects.
     pub(crate) fn beside_air(&self, points: &[[f32; 3]], lattice: &Lattice) -> Vec<usize> {
-        let in_air = self.entered.iter().filter(|(_, stay)| stay.is_in_air);
-        let Some(newest) = in_air.clone().map(|(_, stay)| stay.last_ns).max() else {
-            return Vec::new();
-        };
-        let mut places: Vec<Voxel> =
-            in_air.filter(|(_, stay)| stay.last_ns == newest).map(|(place, _)| place.0).collect();
-        places.sort_unstable();
+        let places = self.entered.newest_in_air();
         let boxes: Vec<[[f64; 3]; 2]> = parts(&places)
             .into_iter()
             .map(|part| {
@@ -215,15 +206,13 @@ impl GroundMovers {
         for (at, &voxel) in found.voxels.iter().enumerate() {
             if found.rows(at).iter().all(is_floor) {
                 self.arrivals.add_doubtful(voxel);
-            } else if !self.is_entered(voxel) {
+            } else if !self.entered.contains(voxel) {
                 self.arrivals.take(voxel, space);
+            } else if self.entered.has_come_back(voxel) && space.is_certain(voxel) {
+                self.entered.remove(voxel);
+                self.arrivals.add_doubtful(voxel);
             }
         }
-    }
-
-    /// True if a mover is in the voxel, or was in it a short time ago.
-    fn is_entered(&self, voxel: Voxel) -> bool {
-        self.next.contains_key(&Place(voxel))
     }
 
     /// The voxels that are in open space, and those beside them.
@@ -239,7 +228,7 @@ impl GroundMovers {
         let free = self.are_free(voxels, &things, space);
         // Beside a mover is also what stands. That may not count as free, or surfaces would become movers bit by bit.
         let is_entered =
-            |voxel: Voxel| self.is_entered(voxel) && !self.arrivals.has_standing(voxel);
+            |voxel: Voxel| self.entered.contains(voxel) && !self.arrivals.has_standing(voxel);
         let has_come = |voxel: Voxel| is_entered(voxel) || self.arrivals.came_lately(voxel);
         let mut is_open = |voxel: Voxel, also: &dyn Fn(Voxel) -> bool| {
             let hides = |beside| things.hide(voxel, beside);
@@ -274,7 +263,11 @@ impl GroundMovers {
     ) -> Vec<bool> {
         let watch = cancel::watch();
         let mut is_free = |voxel: Voxel| {
-            space.is_open(voxel, |one| self.is_entered(one), |beside| things.hide(voxel, beside))
+            space.is_open(
+                voxel,
+                |one| self.entered.contains(one),
+                |beside| things.hide(voxel, beside),
+            )
         };
         voxels.iter().map(|&voxel| !watch.is_asked() && is_free(voxel)).collect()
     }
@@ -300,7 +293,7 @@ impl GroundMovers {
             let is_chosen = match last {
                 Some((known, is_chosen)) if known == voxel => is_chosen,
                 _ => {
-                    let has_come = self.is_entered(voxel) || self.arrivals.contains(voxel);
+                    let has_come = self.entered.contains(voxel) || self.arrivals.contains(voxel);
                     let is_chosen = has_come || space.is_free(voxel);
                     if !is_chosen {
                         self.arrivals.add_standing(voxel);
@@ -337,7 +330,7 @@ impl GroundMovers {
         self.rows.clear();
         self.in_air.clear();
         self.over_unseen.clear();
-        self.next.clear();
+        self.entered.skip();
         self.arrivals.skip();
     }
 
@@ -350,7 +343,7 @@ impl GroundMovers {
 
     /// The state to save. A stage restored from it gives the same results, bit by bit.
     pub(crate) fn saved(&self) -> SavedMovers {
-        SavedMovers { entered: saved_stays(&self.entered), arrivals: self.arrivals.saved() }
+        SavedMovers { entered: self.entered.saved(), arrivals: self.arrivals.saved() }
     }
 
     /// The stage of a saved state.
@@ -358,7 +351,7 @@ impl GroundMovers {
     /// # Errors
     /// [`Error::Format`] for a state that no detector has.
     pub(crate) fn restored(saved: SavedMovers) -> Result<Self, Error> {
-        let entered = restored_stays(saved.entered)?;
+        let entered = EnteredVoxels::restored(saved.entered)?;
         Ok(Self { entered, arrivals: ArrivedVoxels::restored(saved.arrivals)?, ..Self::default() })
     }
 }
@@ -450,6 +443,59 @@ mod tests {
         assert_eq!(movers(0.0), [0, 18], "on the ground");
         assert_eq!(movers(-1.0), [0, 18]);
         assert_eq!(movers(9.0), [0, 18], "below the ground, as in a pit");
+        Ok(())
+    }
+
+    /// Numbers of points of ground movers, for a target at the given places along x in scans of 10 Hz. None: no points.
+    fn found_at(places: &[Option<i32>]) -> Result<Vec<usize>, Error> {
+        found_every(100_000_000, places)
+    }
+
+    fn found_every(period_ns: i64, places: &[Option<i32>]) -> Result<Vec<usize>, Error> {
+        let ground: Vec<Voxel> = (-6..7).map(|x| [x, 1, -2]).collect();
+        let (map, mut movers) = (map(&ground)?, GroundMovers::default());
+        let size = map.lattice().voxel_size() as f32;
+        let mut found = Vec::new();
+        for (place, scan) in places.iter().zip(0..) {
+            let shifted = |at: i32| {
+                let points = target(map.lattice(), 0).into_iter();
+                points.map(|[x, y, z]| [x + at as f32 * size, y, z]).collect()
+            };
+            let points: Vec<[f32; 3]> = place.map_or(Vec::new(), shifted);
+            let class = vec![PointClass::Background; points.len()];
+            let scan_of = ScanOfMovers {
+                points: &points,
+                class: &class,
+                maybe_own: &[],
+                origin: [0.0; 3],
+                floor: None,
+                things: &[],
+            };
+            movers.find(&scan_of, &map, scan * period_ns)?;
+            movers.accept();
+            found.push(movers.rows().len());
+        }
+        Ok(found)
+    }
+
+    #[test]
+    fn what_comes_back_to_its_place_stands() -> Result<(), Error> {
+        let (seen, gone) = (Some(0), None);
+        assert_eq!(found_at(&[seen, gone, seen, seen, gone, seen])?, [18, 0, 0, 0, 0, 0]);
+        assert_eq!(found_at(&[seen, seen, seen])?, [18; 3], "no break");
+        // It is forgotten in between, but not that it was there.
+        assert_eq!(found_every(3_000_000_000, &[seen, gone, seen])?, [18, 0, 0]);
+        assert_eq!(found_every(30_000_000_000, &[seen, gone, seen])?, [18, 0, 18]);
+        Ok(())
+    }
+
+    #[test]
+    fn what_moves_may_come_back() -> Result<(), Error> {
+        assert_eq!(found_at(&[0, 1, 2, 3, 4, 3, 2, 3].map(Some))?, [18; 8]);
+        // Nothing shows before the third scan that it moves. The voxels that it was in until then count as well.
+        assert_eq!(found_at(&[0, 1, 2, 3, 2, 1, 0].map(Some))?, [18; 7]);
+        // Between two scans, it leaves all of its voxels.
+        assert_eq!(found_at(&[-3, 0, 3, 0, 3].map(Some))?, [18; 5]);
         Ok(())
     }
 

@@ -2,7 +2,8 @@
 //! objects.
 
 mod arrivals;
-pub(crate) mod free_space;
+pub(crate) mod entered;
+mod free_space;
 pub(crate) mod ground_movers;
 mod past_hits;
 mod ray_view;
