@@ -23,6 +23,9 @@ use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::sync::Arc;
 
+/// Memory of a drawn trajectory with all its tries [bytes].
+const ROOM_OF_MOTION: usize = 1 << 20;
+
 type Array1<'py, T> = Bound<'py, PyArray1<T>>;
 type Rows<'py, T> = Bound<'py, PyArray2<T>>;
 
@@ -300,6 +303,7 @@ impl SimScene {
         span_ns: (i64, i64),
         seed: (u64, u64),
     ) -> Result<SimTrajectory, BorderError> {
+        check_memory("a random motion", 1, ROOM_OF_MOTION)?; // its allocations are small
         let apart = apart.iter().map(|(other, least)| (&other.get().0, *least)).collect();
         let motion = config.motion(&sensor.get().0, apart, span_ns, seed);
         Ok(SimTrajectory(self.0.with_stoppable(py, |(scene, _)| motion.trajectory(scene))?))
