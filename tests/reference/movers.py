@@ -135,8 +135,11 @@ class Movers:
             later = sum(voxel[:2] not in early for voxel in part)
             return later > 0 and later >= LATER * len(part)
         reach = (FASTEST * since + SIZE) / self.c.voxel_size
-        pairs = itertools.product(left, part)
-        return any(max(abs(a[0] - b[0]), abs(a[1] - b[1])) <= reach for a, b in pairs)
+        spans = [(min(v[axis] for v in part), max(v[axis] for v in part)) for axis in (0, 1)]
+        return any(
+            all(low - reach <= v[axis] <= high + reach for axis, (low, high) in enumerate(spans))
+            for v in left
+        )
 
     def forget(self, time):
         if self.since is None:

@@ -108,10 +108,20 @@ impl EnteredVoxels {
         }
         let since = self.newest_ns.map_or(0, |newest| self.now_ns.saturating_sub(newest));
         let reach = (FASTEST * since as f64 * 1e-9 + SIZE) / size;
-        let is_near = |one: &Voxel, other: &Voxel| {
-            (0..2).all(|axis| f64::from(one[axis].abs_diff(other[axis])) <= reach)
+        // Its box, because pairs of voxels would take long in scans where much moves.
+        let spans = [0, 1].map(|axis: usize| {
+            let ends = own.iter().map(|voxel| f64::from(voxel[axis]));
+            ends.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], at| {
+                [low.min(at), high.max(at)]
+            })
+        });
+        let is_near = |one: &Voxel| {
+            spans
+                .iter()
+                .zip(one)
+                .all(|([low, high], &at)| (low - reach..=high + reach).contains(&f64::from(at)))
         };
-        self.left.iter().any(|one| own.iter().any(|other| is_near(one, other)))
+        self.left.iter().any(is_near)
     }
 
     /// Voxels, ascending, of objects that moved in the air in the newest accepted scan with such objects.
