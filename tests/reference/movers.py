@@ -1,8 +1,8 @@
 """Points of what moves on the ground, in plain Python: sets of voxels, one voxel at a time.
 
 Written from the text of `rust/lidar_core/src/flying/moving/`: `arrivals.rs`, `past_hits.rs`,
-`stay.rs`, `free_space.rs`, `ground_movers.rs`. Not here: what things of unknown class hide, flat
-ground, and objects in the air.
+`stay.rs`, `entered.rs`, `free_space.rs`, `ground_movers.rs`. Not here: what things of unknown
+class hide, flat ground, and objects in the air.
 """
 
 import itertools
@@ -67,7 +67,12 @@ class Movers:
             rows.setdefault(voxel, []).append(row)
         come = {v for v in rows if is_free(v) or v in self.entered or v in self.arrived}
         self.newer |= set(rows) - come
-        left = [v for v, stay in self.entered.items() if stay[1] == self.newest and v not in come]
+        here = come & set(self.entered)
+        left = [
+            v
+            for v, stay in self.entered.items()
+            if stay[1] == self.newest and v not in come and not here & set(beside(v))
+        ]
         for voxel in come:
             if voxel in self.entered:
                 _, last, moves = self.entered[voxel]
@@ -115,31 +120,34 @@ class Movers:
         before = set(self.entered)
         for part in found:
             assert any(self.stands_on(voxel, before, value) for voxel in part), "may be in the air"
-        moving = [self.comes_from_beside(part, left, time, since) for part in found]
+        origins = [self.comes_from(part, left, time, since) for part in found]
         for part in found:
             for voxel in part:
                 is_mover[rows[voxel]] = True
                 self.arrived.pop(voxel, None)
                 first, _, moves = self.entered.get(voxel, (time, time, False))
                 self.entered[voxel] = first, time, moves
-        for part in itertools.compress(found, moving):
-            for voxel in {one for v in part for one in [v, *beside(v)]} & set(self.entered):
+        for part, origin in zip(found, origins, strict=True):
+            own = {one for v in part for one in [v, *beside(v)]} if origin is not None else set()
+            for voxel in own.union(origin or ()) & set(self.entered):
                 self.entered[voxel] = *self.entered[voxel][:2], True
         return is_mover
 
-    def comes_from_beside(self, part, left, time, since):
-        """Whether a part came from beside. `since`: time since the scan before."""
+    def comes_from(self, part, left, time, since):
+        """Voxels that a part has left, if it came from beside. `since`: of the last scan."""
         first = {v: self.entered.get(v, self.arrived.get(v, (time,)))[0] for v in part}
         early = {voxel[:2] for voxel in part if first[voxel] == min(first.values())}
         if min(first.values()) < time:
             later = sum(voxel[:2] not in early for voxel in part)
-            return later > 0 and later >= LATER * len(part)
+            return [] if later > 0 and later >= LATER * len(part) else None
         reach = (FASTEST * since + SIZE) / self.c.voxel_size
         spans = [(min(v[axis] for v in part), max(v[axis] for v in part)) for axis in (0, 1)]
-        return any(
-            all(low - reach <= v[axis] <= high + reach for axis, (low, high) in enumerate(spans))
+        near = [
+            v
             for v in left
-        )
+            if all(low - reach <= v[axis] <= high + reach for axis, (low, high) in enumerate(spans))
+        ]
+        return near or None
 
     def forget(self, time):
         if self.since is None:

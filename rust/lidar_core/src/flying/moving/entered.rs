@@ -49,11 +49,16 @@ impl EnteredVoxels {
         }
     }
 
-    /// Find the voxels that movers have left, given the voxels with returns (ascending).
+    /// Find the voxels that movers have left, given the voxels with returns (ascending). Those beside a mover that is
+    /// still there do not count: what appears near it does not come from there.
     pub(super) fn look(&mut self, voxels: &[Voxel]) {
+        let is_hit = |voxel: Voxel| voxels.binary_search(&voxel).is_ok();
         let were_there = self.next.iter().filter(|(_, stay)| Some(stay.last_ns) == self.newest_ns);
-        let is_left = |voxel: &Voxel| voxels.binary_search(voxel).is_err();
-        self.left.extend(were_there.map(|(place, _)| place.0).filter(is_left));
+        let is_left = |&voxel: &Voxel| {
+            !is_hit(voxel) && !around(voxel).any(|beside| self.contains(beside) && is_hit(beside))
+        };
+        let left: Vec<Voxel> = were_there.map(|(place, _)| place.0).filter(is_left).collect();
+        self.left = left;
     }
 
     /// True if a mover is in the voxel, or was in it a short time ago.
@@ -76,8 +81,8 @@ impl EnteredVoxels {
     /// Take the moving parts of the scan. `arrivals`: what has come, from which their voxels are removed. `size`: edge
     /// of a voxel [m].
     pub(super) fn enter(&mut self, parts: &[MovingPart], arrivals: &mut ArrivedVoxels, size: f64) {
-        let moves = |part: &MovingPart| self.comes_from_beside(&part.voxels, arrivals, size);
-        let moves: Vec<bool> = parts.iter().map(moves).collect();
+        let come_from = |part: &MovingPart| self.come_from(&part.voxels, arrivals, size);
+        let from: Vec<Option<Vec<Voxel>>> = parts.iter().map(come_from).collect();
         for part in parts {
             for place in part.voxels.iter().map(|&voxel| Place(voxel)) {
                 arrivals.remove(place);
@@ -85,10 +90,11 @@ impl EnteredVoxels {
                 (stay.last_ns, stay.is_in_air) = (self.now_ns, part.is_in_air);
             }
         }
-        let moving = parts.iter().zip(moves).filter(|(_, moves)| *moves);
-        for &own in moving.flat_map(|(part, _)| &part.voxels) {
-            // Beside it are also the voxels that it was in before it was known to move.
-            for voxel in around(own).chain([own]) {
+        for (part, from) in parts.iter().zip(from) {
+            let Some(from) = from else { continue };
+            // Beside it are also voxels that it was in before it was known to move.
+            let beside = part.voxels.iter().flat_map(|&own| around(own).chain([own]));
+            for voxel in beside.chain(from) {
                 if let Some(stay) = self.next.get_mut(&Place(voxel)) {
                     stay.moves = true;
                 }
@@ -96,15 +102,16 @@ impl EnteredVoxels {
         }
     }
 
-    /// True if what is in the voxels `own` came from beside: voxel by voxel, or from the voxels that were left.
-    fn comes_from_beside(&self, own: &[Voxel], arrivals: &ArrivedVoxels, size: f64) -> bool {
+    /// The voxels that what is in the voxels `own` has left, if it came from beside. They are empty if it came voxel by
+    /// voxel. None if it did not come from beside.
+    fn come_from(&self, own: &[Voxel], arrivals: &ArrivedVoxels, size: f64) -> Option<Vec<Voxel>> {
         let first_ns = |voxel: Voxel| {
             let entered = self.next.get(&Place(voxel)).map(|stay| stay.first_ns);
             entered.or_else(|| arrivals.first_ns(voxel)).unwrap_or(self.now_ns)
         };
         let firsts: Vec<(Voxel, i64)> = own.iter().map(|&voxel| (voxel, first_ns(voxel))).collect();
         if firsts.iter().any(|(_, first)| *first < self.now_ns) {
-            return came_from_beside(&firsts);
+            return came_from_beside(&firsts).then(Vec::new);
         }
         let since = self.newest_ns.map_or(0, |newest| self.now_ns.saturating_sub(newest));
         let reach = (FASTEST * since as f64 * 1e-9 + SIZE) / size;
@@ -115,13 +122,14 @@ impl EnteredVoxels {
                 [low.min(at), high.max(at)]
             })
         });
-        let is_near = |one: &Voxel| {
+        let is_near = |one: &&Voxel| {
             spans
                 .iter()
-                .zip(one)
+                .zip(*one)
                 .all(|([low, high], &at)| (low - reach..=high + reach).contains(&f64::from(at)))
         };
-        self.left.iter().any(is_near)
+        let near: Vec<Voxel> = self.left.iter().filter(is_near).copied().collect();
+        (!near.is_empty()).then_some(near)
     }
 
     /// Voxels, ascending, of objects that moved in the air in the newest accepted scan with such objects.
@@ -160,5 +168,52 @@ impl EnteredVoxels {
     /// [`Error::Format`] for stays in voxels that do not exist.
     pub(super) fn restored(saved: Vec<(Place, Stay)>) -> Result<Self, Error> {
         Ok(Self { stays: restored_stays(saved)?, ..Self::default() })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SCAN: i64 = 100_000_000;
+    const POST: Voxel = [-5, 0, 0];
+
+    /// Search for what moves in scans, each given by its connected parts. Returns the state after them.
+    fn after(scans: &[&[Voxel]]) -> EnteredVoxels {
+        let (mut entered, mut arrivals) = (EnteredVoxels::default(), ArrivedVoxels::default());
+        for (scan, number) in scans.iter().zip(0..) {
+            arrivals.begin(number * SCAN);
+            entered.begin(number * SCAN, &mut arrivals);
+            let mut voxels = scan.to_vec();
+            voxels.sort_unstable();
+            entered.look(&voxels);
+            let part = |&voxel: &Voxel| MovingPart { voxels: vec![voxel], is_in_air: false };
+            let parts: Vec<MovingPart> = scan.iter().map(part).collect();
+            entered.enter(&parts, &mut arrivals, 0.25);
+            entered.accept();
+            arrivals.accept();
+        }
+        entered
+    }
+
+    fn moves(entered: &EnteredVoxels, voxel: Voxel) -> Option<bool> {
+        entered.stays.get(&Place(voxel)).map(|stay| stay.moves)
+    }
+
+    #[test]
+    fn what_leaves_all_its_voxels_came_from_them() {
+        let jumps = after(&[&[[0, 0, 0]], &[[4, 0, 0]]]);
+        assert_eq!([[0, 0, 0], [4, 0, 0]].map(|at| moves(&jumps, at)), [Some(true); 2]);
+        let far = after(&[&[[0, 0, 0]], &[[11, 0, 0]]]); // 2.75 m; 1.5 m a scan and its size are 2.5 m
+        assert_eq!([[0, 0, 0], [11, 0, 0]].map(|at| moves(&far, at)), [Some(false); 2]);
+    }
+
+    #[test]
+    fn what_appears_beside_a_mover_that_is_still_there_did_not_come_from_it() {
+        let (one, two, three) = ([0, 0, 0], [1, 0, 0], [2, 0, 0]);
+        let near = after(&[&[one], &[one, two], &[two, three, POST]]);
+        assert_eq!(moves(&near, POST), Some(false));
+        let gone = after(&[&[one], &[one, two], &[POST]]);
+        assert_eq!(moves(&gone, POST), Some(true));
     }
 }

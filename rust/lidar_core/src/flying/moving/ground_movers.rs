@@ -162,6 +162,9 @@ impl GroundMovers {
     /// Indices of the points beside objects that moved in the air in the newest scan with such objects.
     pub(crate) fn beside_air(&self, points: &[[f32; 3]], lattice: &Lattice) -> Vec<usize> {
         let places = self.entered.newest_in_air();
+        if places.is_empty() {
+            return Vec::new();
+        }
         let boxes: Vec<[[f64; 3]; 2]> = parts(&places)
             .into_iter()
             .map(|part| {
@@ -495,6 +498,7 @@ mod tests {
         // Nothing shows before the third scan that it moves. The voxels that it was in until then count as well.
         assert_eq!(found_at(&[0, 1, 2, 3, 2, 1, 0].map(Some))?, [18; 7]);
         // Between two scans, it leaves all of its voxels.
+        assert_eq!(found_at(&[-4, 0, -4].map(Some))?, [18; 3]);
         assert_eq!(found_at(&[-3, 0, 3, 0, 3].map(Some))?, [18; 5]);
         Ok(())
     }

@@ -2,7 +2,7 @@
 //! objects.
 
 mod arrivals;
-pub(crate) mod entered;
+mod entered;
 mod free_space;
 pub(crate) mod ground_movers;
 mod past_hits;
